@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 import ufl
-from atlas_example import Example, Rigid, domains_of, random_of, rectangle
+from atlas_example import Example, Rigid, random_of, rectangle
 from atlas_shapes import random_shape, rounded, shape_of
 from atlas_soils import law_of
 from dolfinx import fem
@@ -81,7 +81,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     """Make the problem ready. Collective."""
     grid = rectangle(comm, (WIDTH * H, p["top"] + 5 * H), H)
     points = mpm.fill(grid, mpm.Box((0, 0), (WIDTH * H, p["top"])), p["per_cell"], DENSITY)
-    V = mpm.Space(grid, basis, **domains_of(basis))
+    V = mpm.Space(grid, basis, domains="volume")
     u, v = V.increment, V.test
     law, gravity = law_of(p), fem.Constant(grid, (0.0, -GRAVITY))
     K0 = p["nu"] / (1 - p["nu"])

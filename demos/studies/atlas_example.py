@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
 
-__all__ = ["Example", "Rigid", "culmann", "domains_of", "random_of", "rectangle"]
+__all__ = ["Example", "Rigid", "culmann", "random_of", "rectangle"]
 
 
 @dataclass
@@ -82,8 +82,3 @@ def culmann(angle: float, friction: float) -> float:
     """
     beta, phi = math.radians(angle), math.radians(friction)
     return 4.0 * math.sin(beta) * math.cos(phi) / (1.0 - math.cos(beta - phi))
-
-
-def domains_of(basis: str) -> dict[str, str]:
-    """Domains that follow the volume alone, for ground that shears by many times its size."""
-    return {} if basis == "linear" else {"domains": "volume"}

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import ufl
-from atlas_example import Example, culmann, domains_of, random_of, rectangle
+from atlas_example import Example, culmann, random_of, rectangle
 from atlas_soils import law_of, pressure_of
 from dolfinx import fem, mesh
 from mpi4py import MPI
@@ -107,7 +107,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     exact = p["exact"] and p["law"] != "Cam-Clay"
     shape = mpm.Polygon(outline_of(p, width)) if exact else mpm.Where(inside_of(p))
     points = mpm.fill(grid, shape, p["per_cell"], DENSITY, exact=exact)
-    V = mpm.Space(grid, basis, **domains_of(basis))
+    V = mpm.Space(grid, basis, domains="volume")
     u, v = V.increment, V.test
     fbar = p["fbar"] and not (basis == "linear" and p["per_cell"] == 2)
     law, gravity = law_of(p), fem.Constant(grid, (0.0, 0.0))

@@ -22,7 +22,7 @@ from typing import Any
 import atlas_slopes
 import numpy as np
 import ufl
-from atlas_example import Example, culmann, domains_of, random_of, rectangle
+from atlas_example import Example, culmann, random_of, rectangle
 from atlas_soils import SWELLING, law_of
 from dolfinx import fem
 from mpi4py import MPI
@@ -104,8 +104,8 @@ def ground_of(p: dict[str, Any], comm: MPI.Comm) -> tuple[Any, Any, list[Any]]:
 def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> Example:
     """Make the problem ready. Collective."""
     grid, points, surface = ground_of(p, comm)
-    V = mpm.Space(grid, basis, **domains_of(basis))
-    Q = mpm.Space(grid, basis, shape=(), **domains_of(basis))
+    V = mpm.Space(grid, basis, domains="volume")
+    Q = mpm.Space(grid, basis, shape=(), domains="volume")
     u, v, suction, modulus = V.increment, V.test, suction_of(p), modulus_of(p)
     law, load = law_of(p), fem.Constant(grid, (0.0, 0.0))
     held = 0.0 if p["wet"] else -suction

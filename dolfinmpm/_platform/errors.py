@@ -33,6 +33,7 @@ __all__ = [
     "ImbalanceWarning",
     "InstabilityError",
     "MigrationError",
+    "MissingPackageError",
     "ParameterError",
     "PointsOutsideGridError",
     "ShapeOutsideGridError",
@@ -97,6 +98,10 @@ class ConflictingConditionsError(DolfinMPMError, ValueError):
 
 class FormError(DolfinMPMError, ValueError):
     """A term of the weak form cannot be evaluated where it stands."""
+
+
+class MissingPackageError(DolfinMPMError, ImportError):
+    """An optional package or program is necessary for a call, and is not installed."""
 
 
 class PointsOutsideGridError(DolfinMPMError, RuntimeError):

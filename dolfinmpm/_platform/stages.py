@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.argumentchecks import truth
 
 __all__ = ["NAMES", "STEP", "Watch", "activate", "assemble", "commit", "evaluate",
            "measure_stages", "migrate", "output", "solve"]  # fmt: skip
@@ -154,6 +154,18 @@ def measure_stages(on: bool = True) -> None:
     Raises:
         ParameterError: `on` is neither True nor False.
         RuntimeError: A step is being taken.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> mpm.measure_stages()
+    >>> record = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+    >>> mpm.measure_stages(False)
+    >>> sorted(record.stages)
+    ['activate', 'assemble', 'commit', 'evaluate', 'migrate', 'output', 'solve']
     """
     if _clock.front is not None:
         raise RuntimeError("stages are switched on or off between steps")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.assembly.functions import function_values
+from dolfinmpm.assembly.functionvalues import function_values
 from dolfinmpm.assembly.region import PointFailure, Region
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import ActiveTerm
@@ -16,9 +16,9 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import ActiveRegion
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.placeholders import Slots
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
-from dolfinmpm.forms.slots import Slots
 
 __all__ = ["Evaluation"]
 

@@ -21,7 +21,7 @@ import scipy
 from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import StateError, raise_together
-from dolfinmpm.assembly.facetpairs import isotropic
+from dolfinmpm.assembly.facetpenalties import isotropic
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, Slope, add_blocks, add_stiffness
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import pushed_forward

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform import stages
-from dolfinmpm.assembly.functions import function_values
+from dolfinmpm.assembly.functionvalues import function_values
 from dolfinmpm.assembly.stencilsums import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.cellmeans import add_outer

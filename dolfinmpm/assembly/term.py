@@ -16,7 +16,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.body.location import Destinations
 from dolfinmpm.body.points import MaterialPoints

@@ -12,14 +12,13 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import as_tags, choice, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import as_tags, choice, shown, truth, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.latticebasis import first_parts
-from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.lattice import (
     Lattice,
     cell_size,
@@ -28,6 +27,7 @@ from dolfinmpm.grid.lattice import (
     once_per_grid,
     require_lattice,
 )
+from dolfinmpm.grid.serialnumbers import next_on
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -208,7 +208,8 @@ class Space:
             are exact sums of finer ones. A pressure and a displacement on such nested grids are a
             stable pair. Ghost facets, fill fractions and roots are those of the coarse cells.
             Needs a rectangular grid, graded or not.
-        domains: Growth of the points' domains if the basis averages. "stretch" stretches them by
+        domains: Growth of the points' domains if the basis averages; with linear functions, of the
+            domains whose corners touch rigid bodies. "stretch" stretches them by
             diag U with U = √(FᵀF), so that they go on to tile a stretched body. "volume"
             stretches them by J^(1/d). "fixed" keeps them. The last two are for flow: there F
             grows without bound and no longer tells the shape of a point's volume.
@@ -239,7 +240,7 @@ class Space:
     ()
     """
 
-    @together
+    @collective
     def __init__(
         self,
         grid: Mesh,

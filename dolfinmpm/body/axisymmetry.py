@@ -27,7 +27,7 @@ import ufl
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.body.location import bounds
 
@@ -118,6 +118,19 @@ def gradient(points: MaterialPoints, w, *, radius: Expr | None = None) -> Expr:
     Raises:
         ParameterError: These are no points, or w is no field of UFL, or at axisymmetric points of
         another shape.
+
+    At axisymmetric points it has the hoop term:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> mpm.gradient(points, V.increment).ufl_shape
+    (2, 2)
+    >>> ring = mpm.fill(grid, mpm.Box((1, 0), (4, 2)), 2, density=2000.0, axisymmetric=True)
+    >>> mpm.gradient(ring, V.increment).ufl_shape
+    (3, 3)
     """
     if not hasattr(points, "strain_dim"):
         raise ParameterError(f"points = {shown(points)} must be material points, see mpm.fill")

@@ -11,7 +11,8 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import number, shown, truth, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
@@ -19,15 +20,13 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.loading import pressure_of, vector_of
-from dolfinmpm.body.markerplaces import (
+from dolfinmpm.body.formsigns import acting
+from dolfinmpm.body.markergeometry import (
     put_inside,
     revolved,
     rows_of,
@@ -37,9 +36,10 @@ from dolfinmpm.body.markerplaces import (
 )
 from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.counts import next_on
+from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.serialnumbers import next_on
+from dolfinmpm.grid.userfunctions import ask
 
 if TYPE_CHECKING:
     from dolfinmpm.body.fields import PointField
@@ -92,9 +92,20 @@ class Boundary:
         ParameterError: A value is not finite, an area is zero, or the normals point into the body.
         EmptyShapeError: There is no marker.
         PointsOutsideGridError: A marker is outside the grid.
+
+    A boundary through the cells, cut at the grid's lines:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> corners = [(0.3, 0.3), (3.3, 0.3), (3.3, 2.3), (0.3, 2.3)]
+    >>> points = mpm.fill(grid, mpm.Polygon(corners), per_cell=2, density=2000.0, exact=True)
+    >>> edge = mpm.Boundary.from_polygon(points, corners)
+    >>> round(edge.total_area, 12)
+    10.0
     """
 
-    @together(own=("x", "area"))
+    @collective(local=("x", "area"))
     def __init__(
         self,
         points: MaterialPoints,
@@ -165,7 +176,7 @@ class Boundary:
     # -- where markers come from ----------------------------------------------
 
     @classmethod
-    @together
+    @collective
     def from_polygon(
         cls,
         points: MaterialPoints,
@@ -215,7 +226,7 @@ class Boundary:
         return made
 
     @classmethod
-    @together
+    @collective
     def from_side(
         cls, points: MaterialPoints, side: str, *, rule: int = 2, name: str | None = None
     ) -> Boundary:
@@ -250,7 +261,7 @@ class Boundary:
         return cls(points, x, area, follows=False, name=name or word, activates=False)
 
     @classmethod
-    @together
+    @collective
     def from_triangles(
         cls,
         points: MaterialPoints,
@@ -289,7 +300,7 @@ class Boundary:
         return cls(points, x, area, follows=follows, name=name, activates=activates)
 
     @classmethod
-    @together
+    @collective
     def from_level_set(
         cls,
         points: MaterialPoints,
@@ -306,7 +317,7 @@ class Boundary:
         Args:
             points: Material points of the body.
             phi: Function of positions (m), shape (gdim, n), to n values, negative in the
-                body; see `dolfinmpm.grid.positions`.
+                body; see `dolfinmpm.grid.userfunctions`.
             subdivisions: Parts of a cell in each direction, on rectangular grids. The error of
                 the boundary's place is of the square of their size.
             follows, name, activates: See `Boundary`.
@@ -400,7 +411,7 @@ class Boundary:
         work = p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
         return acting(work, self.ds, f"the pressure on '{self.name}'")
 
-    @together
+    @collective
     def force(self) -> Array:
         """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.
 
@@ -416,7 +427,7 @@ class Boundary:
         return self.points.gdim
 
     @property
-    @together
+    @collective
     def total_area(self) -> float:
         """Area now (m^(d-1); of axisymmetric bodies m²), on all ranks. Collective."""
         return self.points.comm.allreduce(float(self.markers["V"].sum()), op=MPI.SUM)

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import ask
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints

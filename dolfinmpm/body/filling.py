@@ -11,25 +11,25 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, truth
+from dolfinmpm._platform.argumentchecks import number, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
     ShapeOutsideGridError,
     call_together,
 )
-from dolfinmpm._platform.together import together
-from dolfinmpm.body.amounts import check_amount, check_per_cell
 from dolfinmpm.body.axisymmetry import require_axis, ring
+from dolfinmpm.body.cellparts import CellParts, LatticeParts, Parts
 from dolfinmpm.body.exchange import numbers_in_order
 from dolfinmpm.body.location import bounds, destinations
-from dolfinmpm.body.parts import CellParts, LatticeParts, Parts
+from dolfinmpm.body.pointchecks import require_grid
+from dolfinmpm.body.pointlimits import check_amount, check_per_cell
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
-from dolfinmpm.body.validity import require_grid
-from dolfinmpm.body.volumes import correct, pieces_inside
+from dolfinmpm.body.shapevolumes import correct, pieces_inside
 from dolfinmpm.grid.lattice import Lattice, lattice_of, require_lattice
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import ask
 
 __all__ = ["fill"]
 
@@ -40,7 +40,7 @@ Density = float | Callable[[Array], Array]
 _SLIVER = 1e-9
 
 
-@together
+@collective
 def fill(
     grid: Mesh,
     shape: Shape,

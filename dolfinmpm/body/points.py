@@ -11,18 +11,18 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.argumentchecks import truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_together
-from dolfinmpm._platform.together import together
-from dolfinmpm.body import files, joining, sources
+from dolfinmpm.body import pointchanges, pointfiles, pointinput
 from dolfinmpm.body.axisymmetry import require_axis, ring
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
+from dolfinmpm.body.pointchanges import PointChange
+from dolfinmpm.body.pointchecks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.pointsymbols import ACTIVE_CELLS, GHOST_FACETS, UNSET
 from dolfinmpm.body.pointtable import BUILT_IN, PointTable
-from dolfinmpm.body.validity import astray, checked_rows, fault, require_grid
 from dolfinmpm.grid.partition import Partition
 
 __all__ = [
@@ -128,9 +128,24 @@ class MaterialPoints(PointTable):
         PointsOutsideGridError: A point is not in its cell.
         UnsupportedGridError: The cells are curved, or coordinates of single precision; the grid of
             axisymmetric points is not two-dimensional, or reaches beyond the axis.
+
+    Fields are arrays, and names of fields are symbols for UFL:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> points.total, points["x"].shape, points.x.ufl_shape
+    (32, (32, 2), (2,))
+    >>> points["density"][points["x"][:, 1] > 1.0] = 1800.0
+    >>> float(points["V"] @ points["density"])
+    15200.0
+    >>> water = points.add_field("saturation", unit="-", value=1.0)
+    >>> points["saturation"].sum().item()
+    32.0
     """
 
-    @together(own=("x", "cell", "volume", "half_length", "density", "tag", "id"))
+    @collective(local=("x", "cell", "volume", "half_length", "density", "tag", "id"))
     def __init__(
         self,
         grid: Mesh,
@@ -172,7 +187,7 @@ class MaterialPoints(PointTable):
     # -- where points come from -----------------------------------------------
 
     @classmethod
-    @together(own=("x", "volume", "density", "tag", "half_length", "fields", "id"))
+    @collective(local=("x", "volume", "density", "tag", "half_length", "fields", "id"))
     def from_arrays(
         cls,
         grid: Mesh,
@@ -217,7 +232,7 @@ class MaterialPoints(PointTable):
             EmptyShapeError: There is no point.
             UnsupportedGridError: The cells are curved, or coordinates of single precision.
         """
-        rows, others = sources.located(
+        rows, others = pointinput.located(
             grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric,
             reserved=tuple(name for name in _RESERVED if name != "stress"),
         )  # fmt: skip
@@ -228,7 +243,7 @@ class MaterialPoints(PointTable):
         return points
 
     @classmethod
-    @together
+    @collective
     def from_csv(
         cls,
         grid: Mesh,
@@ -258,11 +273,11 @@ class MaterialPoints(PointTable):
                 number; the message has line and column. Or as `from_arrays`.
             OSError: The file cannot be read.
         """
-        rows = files.from_csv(grid, path, density, tag, delimiter)
+        rows = pointfiles.from_csv(grid, path, density, tag, delimiter)
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     @classmethod
-    @together(own=("mesh",))
+    @collective(local=("mesh",))
     def from_mesh(
         cls,
         grid: Mesh,
@@ -298,14 +313,14 @@ class MaterialPoints(PointTable):
             PointsOutsideGridError: Points are outside the grid.
             OSError: The file cannot be read.
         """
-        rows = files.from_mesh(grid, mesh, density, points, degree, tag)
+        rows = pointfiles.from_mesh(grid, mesh, density, points, degree, tag)
         if truth("axisymmetric", axisymmetric):
             rows["volume"] = ring(rows["x"][:, 0], rows["volume"])
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     # -- changes of the body --------------------------------------------------
 
-    @together
+    @collective
     def __add__(self, other: MaterialPoints) -> MaterialPoints:
         """A body of the points of both, with all their fields. Collective.
 
@@ -317,9 +332,9 @@ class MaterialPoints(PointTable):
                 the same place, or both fill a cell more than once; see `overlapping`.
             FieldShapeError: A field has another shape in the other body.
         """
-        return joining.joined(self, other)
+        return pointchanges.joined(self, other)
 
-    @together
+    @collective
     def add(self, other: MaterialPoints) -> PointChange:
         """Take the points of another body in, between steps. Collective.
 
@@ -335,9 +350,9 @@ class MaterialPoints(PointTable):
         Raises:
             ParameterError, FieldShapeError: As for `a + b`; no point is added then.
         """
-        return joining.add(self, other)
+        return pointchanges.add(self, other)
 
-    @together(own=("where",))
+    @collective(local=("where",))
     def remove(
         self,
         where: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | npt.ArrayLike | None = None,
@@ -361,7 +376,7 @@ class MaterialPoints(PointTable):
                 point has the tag, or none would be left.
             FieldShapeError: Their number is not that of the points.
         """
-        return joining.remove(self, where, tag)
+        return pointchanges.remove(self, where, tag)
 
     def fault(self) -> DolfinMPMError | None:
         """What is impossible in the fields of this rank's points, or None."""
@@ -373,7 +388,7 @@ class MaterialPoints(PointTable):
             self._located = place if error is None else math.nan
         return error
 
-    @together
+    @collective
     def locate(self) -> int:
         """Find cells and ranks of points whose x was changed by hand. Collective.
 
@@ -385,7 +400,7 @@ class MaterialPoints(PointTable):
         """
         x = self.placement(self.configuration).x
         to = destinations(self.grid, x, self["cell"], self.partition)
-        raise_together(self.comm, sources.outside(x, self["id"], to))
+        raise_together(self.comm, pointinput.outside(x, self["id"], to))
         return self.migrate(to)
 
     def migrate(self, to: Destinations) -> int:

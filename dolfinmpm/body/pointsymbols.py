@@ -10,9 +10,9 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm.body.acting import FACETS
+from dolfinmpm.body.formsigns import FACETS
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.counts import next_on
+from dolfinmpm.grid.serialnumbers import next_on
 
 if TYPE_CHECKING:
     from dolfinmpm.body.fields import PointField

@@ -11,19 +11,20 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import check_same_call, collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     UnknownNameError,
     call_together,
 )
-from dolfinmpm._platform.together import meet, together
+from dolfinmpm._platform.html import listing
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.missingfields import no_field
 from dolfinmpm.body.pointsymbols import PointSymbols
 
 if TYPE_CHECKING:
@@ -214,7 +215,7 @@ class PointTable:
             return field.first_values(self["x0"])
 
         if callable(value):
-            meet(self.comm, "MaterialPoints.add_field", name=name)
+            check_same_call(self.comm, "MaterialPoints.add_field", name=name)
         # a function may fail at the points of some ranks only
         values = call_together(self.comm, first) if callable(value) else first()
         self.fields[name] = values
@@ -290,7 +291,7 @@ class PointTable:
         size = section(self, volume, x)
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
-    @together
+    @collective
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
         """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
 
@@ -303,3 +304,30 @@ class PointTable:
         return tuple(
             np.concatenate([piece[k + 1] for piece in pieces])[order] for k in range(len(names))
         )
+
+    def _repr_html_(self) -> str:
+        """Number of points, dimension and fields with their units, for notebooks."""
+        units = {name: getattr(getattr(self, name, None), "unit", "") for name in self.fields}
+        fields = ", ".join(f"{name} ({unit})" if unit else name for name, unit in units.items())
+        here = {"points on this rank": len(self), "dimension": self.gdim, "fields": fields}
+        return listing(here, "material points")
+
+    def to_pyvista(self, *, deformed: bool = True) -> Any:
+        """The points as a mesh of PyVista, with their domains as cells. Collective.
+
+        All fields of the points and their displacement (m) are arrays of the cells; tensors have
+        nine components, or those that they have.
+
+        Args:
+            deformed: Whether cells are the first domains, deformed by F. Else they are boxes with
+                the half-lengths `l`.
+
+        Returns:
+            A `pyvista.UnstructuredGrid` of the points of all ranks on rank 0; None elsewhere.
+
+        Raises:
+            MissingPackageError: PyVista is not installed.
+        """
+        from dolfinmpm.body.pyvistamesh import of_points
+
+        return of_points(cast("MaterialPoints", self), deformed=deformed)

@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     UnknownNameError,
     call_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.markerstate import keys_of
 from dolfinmpm.body.points import MaterialPoints
@@ -37,7 +37,7 @@ _FLAT = 1e-12
 _AT = 1e-6
 
 
-@together
+@collective
 def probe(points: MaterialPoints, place: npt.ArrayLike) -> Probe:
     """Follow a place of a body, such as the crest of a slope. Collective.
 
@@ -57,6 +57,20 @@ def probe(points: MaterialPoints, place: npt.ArrayLike) -> Probe:
     Raises:
         ParameterError: The points are none, the place is no position, no point is near, or the
             ranks give different places.
+
+    A place between the points:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> crest = mpm.probe(points, (2.0, 2.0))
+    >>> down = mpm.fixed(V, "bottom") + mpm.prescribed(V, lambda x: x[1] > 1.5, 1, increment=-0.01)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, down).step()
+    >>> crest.displacement.round(4).tolist(), round(crest.settlement, 4)
+    ([0.0, -0.01], 0.01)
     """
     return Probe(points, place)
 
@@ -72,7 +86,7 @@ class Probe:
         weights: Weights of the nearest points, whose sum is 1, shape (k,).
     """
 
-    @together
+    @collective
     def __init__(self, points: MaterialPoints, place: npt.ArrayLike):
         check_points(points)
         self.points = points
@@ -159,26 +173,26 @@ class Probe:
         return np.asarray(np.tensordot(self.weights, table[:, :size], 1).reshape(shape))
 
     @property
-    @together
+    @collective
     def position(self) -> Array:
         """Where the place is now (m), shape (gdim,). Collective."""
         return self._means(self.points.fields.read("x"))
 
     @property
-    @together
+    @collective
     def displacement(self) -> Array:
         """How far it has moved since the body was made (m), shape (gdim,). Collective."""
         fields = self.points.fields
         return self._means(fields.read("x") - fields.read("x0"))
 
     @property
-    @together
+    @collective
     def settlement(self) -> float:
         """How far it has gone down since the body was made, along the last axis (m). Collective."""
         # not −0 of what has not moved
         return 0.0 - float(self.displacement[-1])
 
-    @together
+    @collective
     def __getitem__(self, name: str) -> Any:
         """Mean value of a field of the points, with the field's shape. Collective.
 

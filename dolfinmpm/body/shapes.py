@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_function, coordinates, number
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import in_radians
 
@@ -128,6 +128,10 @@ class Box(Shape):
 
     Raises:
         ParameterError: A corner is not finite, or the upper one is not above the lower one.
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.Box((0, 0), (4, 2)).volume
+    8.0
     """
 
     def __init__(self, low: float | Sequence[float], high: float | Sequence[float]):
@@ -160,6 +164,11 @@ class TurnedBox(Shape):
 
     Warns:
         DegreesWarning: The angle looks like one in radians.
+
+    >>> import dolfinmpm as mpm
+    >>> block = mpm.TurnedBox((0, 0), (4, 2), angle=30)
+    >>> block.volume, block.centroid.tolist()
+    (8.0, [2.0, 1.0])
     """
 
     def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
@@ -197,6 +206,11 @@ class Ball(Shape):
 
     Raises:
         ParameterError: The radius is not positive, or the centre not finite.
+
+    >>> import dolfinmpm as mpm
+    >>> ball, disc = mpm.Ball((0, 0, 0), radius=1.0), mpm.Disc((0, 0), radius=1.0)
+    >>> round(ball.volume, 4), round(disc.volume, 4)
+    (4.1888, 3.1416)
     """
 
     def __init__(self, centre: float | Sequence[float], radius: float):
@@ -229,6 +243,11 @@ class Polygon(Shape):
     Raises:
         ParameterError: The corners are not of that shape or not finite, a corner occurs
             twice, two edges cross or touch, or there is no area.
+
+    >>> import dolfinmpm as mpm
+    >>> slope = mpm.Polygon([(0, 0), (6, 0), (6, 1), (4, 1), (2, 3), (0, 3)])
+    >>> slope.volume
+    12.0
     """
 
     def __init__(self, vertices: Sequence[Sequence[float]]):
@@ -309,6 +328,12 @@ class Where(Shape):
         condition: Function of positions in DOLFINx's layout, shape (gdim, n), that
             returns n booleans.
         low, high: Corners (m) of a box around them, or None if unknown.
+
+    >>> import dolfinmpm as mpm
+    >>> import numpy as np
+    >>> hill = mpm.Where(lambda x: x[1] < 1 + np.sin(x[0]))
+    >>> hill.contains(np.array([[1.0, 1.5], [4.0, 1.5]])).tolist()
+    [True, False]
     """
 
     def __init__(

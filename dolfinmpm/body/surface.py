@@ -9,7 +9,7 @@ also how far the point's own material reaches there.
 
 What acts on the body, a load here or the contact of a `RigidFooting`, is added to the internal
 forces, F = momentum(...) + surface.traction(t, v) + footing.contact(u, v); see
-`dolfinmpm.body.acting`.
+`dolfinmpm.body.formsigns`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -33,15 +34,14 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.loading import pressure_of, vector_of
+from dolfinmpm.body.formsigns import acting
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
-from dolfinmpm.grid.positions import choose
+from dolfinmpm.grid.userfunctions import choose
 
 __all__ = ["Surface"]
 
@@ -64,7 +64,7 @@ class Surface:
     Args:
         points: Material points.
         where: Function of the centres of the points' faces as they were at first (m),
-            shape (gdim, n), that returns n booleans; see `dolfinmpm.grid.positions`. The
+            shape (gdim, n), that returns n booleans; see `dolfinmpm.grid.userfunctions`. The
             faces are those of the points' domains, x0 + l0·n.
         normal: Outward unit normal of the face: an axis of the grid, such as (0, 1).
         name: Name of the fields; `surface1`, `surface2`, ... by default.
@@ -82,9 +82,24 @@ class Surface:
             on the axis of an axisymmetric one.
         EmptyShapeError: No face lies there.
         UnsupportedGridError: The grid is not rectangular.
+
+    A pressure of 10 kPa on the top of a block:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> top = mpm.Surface(points, lambda x: x[1] > 1.9, normal=(0, 1))
+    >>> F += top.pressure(10e3, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    >>> record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    >>> top.total_area, top.mean_displacement().round(4).tolist()
+    (4.0, [0.0, -0.0147])
     """
 
-    @together
+    @collective
     def __init__(
         self,
         points: MaterialPoints,
@@ -128,7 +143,7 @@ class Surface:
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
 
     @classmethod
-    @together(own=("offset", "area"))
+    @collective(local=("offset", "area"))
     def from_arrays(
         cls,
         points: MaterialPoints,
@@ -313,7 +328,7 @@ class Surface:
         moved = np.einsum("pij,pj->pi", in_section(points, points["F"]), R) - R
         return points["x"] - points["x0"] + moved
 
-    @together
+    @collective
     def mean_displacement(self) -> Array:
         """Mean displacement over the initial area (m), shape (gdim,). Collective."""
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area

@@ -12,7 +12,7 @@ import scipy
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form
@@ -165,7 +165,9 @@ class Between(Term):
         moduli = []
         for k, u in enumerate(self.u):
             own = [d for d in declarations if d.u is u]
-            found = max((float(_young(d.moduli()).max(initial=0.0)) for d in own), default=0.0)
+            found = max(
+                (float(_young(d.elastic.moduli()).max(initial=0.0)) for d in own), default=0.0
+            )
             moduli.append(points.comm.allreduce(found, op=MPI.MAX))
             if not moduli[k] > 0.0:
                 raise ParameterError(
@@ -233,6 +235,21 @@ def contact_between(
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
         UnsupportedGridError: The grid is not rectangular.
+
+    Two blocks, one on the other:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> lower = mpm.fill(grid, mpm.Box((0, 0), (4, 1)), per_cell=2, density=2000.0, tag=1)
+    >>> points = lower + mpm.fill(grid, mpm.Box((1, 1), (3, 2)), per_cell=2, density=2000.0, tag=2)
+    >>> A, B = mpm.Space(grid, "gimp", tag=1), mpm.Space(grid, "gimp", tag=2)
+    >>> top = mpm.Boundary.from_polygon(points, [(4, 1), (0, 1)], closed=False)
+    >>> bottom = mpm.Boundary.from_polygon(points, [(1, 1), (3, 1)], closed=False)
+    >>> u, v = (B.increment, A.increment), (B.test, A.test)
+    >>> term = mpm.contact_between((bottom, top), u, v, friction=0.3)
+    >>> round(bottom.total_area, 9), round(top.total_area, 9)
+    (2.0, 4.0)
     """
     first, second = _pair("boundaries", boundaries)
     for one in (first, second):

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
+from dolfinmpm._platform.argumentchecks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form
@@ -120,7 +120,7 @@ class Contact(Term):
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
             found = np.zeros((len(points), 2))
             for declaration in declarations:
-                found[declaration.rows] = declaration.moduli()
+                found[declaration.rows] = declaration.elastic.moduli()
             lame = found[:, 0] - 2 * found[:, 1]
             whole = found[:, 0] - found[:, 1]
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -238,6 +238,20 @@ def contact(
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    A plate presses a block by 1 cm:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> plate = mpm.RigidBody(mpm.Plane((0, 2), (0, -1)), increment=(0.0, -0.01), name="plate")
+    >>> F += mpm.contact(plate, points, V.increment, V.test, penalty=100.0)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+    >>> plate.force[1].round(-2).item()
+    23400.0
     """
     check_kind("body", body, RigidBody, "make it with mpm.RigidBody(shape)")
     check_points(points)

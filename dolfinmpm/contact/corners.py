@@ -1,15 +1,16 @@
 """Contact points of a body of material points: corners of the points' domains or of marked faces.
 
 A corner is a quadrature point of contact, with its own stencil. There are two kinds of corners.
-Corners of domains are at x ± l, where a basis averages over the domains (GIMP, averaged splines).
-Corners of the material are at x + F R with R = ±l0, and turn and shear with the points. Then
-neighbours share their corners when a body bends, and a bent surface has no steps. In large shear a
-corner of the material is far from its point.
+Corners of domains are at x ± l, where l grows as `Space(domains=...)` says. Corners of the material
+are at x + F R with R = ±l0, and turn and shear with the points. Then neighbours share their corners
+when a body bends, and a bent surface has no steps. In large shear a corner of the material is far
+from its point. Bases without domains have corners of the material in steps in time and in the total
+configuration.
 
 If the basis has domains, a corner uses the functions at its position, in a cell that the domain
 overlaps. Its nodes are nodes of its point. So contact makes no further nodes active and adds no
-couplings. With other bases a corner moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`. In steps
-in time every corner moves with its point's new state, see `dolfinmpm.contact.motions`.
+couplings. With other bases a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In
+steps in time every corner moves with its point's new state, see `dolfinmpm.contact.motions`.
 
 If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
 touches with its middle.
@@ -28,9 +29,10 @@ import numpy.typing as npt
 import scipy
 
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.incells import values_in_cells
+from dolfinmpm.basis.singlecellvalues import values_in_cells
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
+from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.motions import Mixed, Plain, Seen, growth_by_gradient
@@ -100,6 +102,7 @@ class Sight:
             numbering.
         growth: Growth of domains, in steps in time, where corners move with the states of their
             points. None where corners move with the functions at the corners.
+        domains: Growth of domains in other steps.
     """
 
     basis: Basis
@@ -108,6 +111,7 @@ class Sight:
     stencils: Callable[[Rows], Stencils]
     place: npt.NDArray[np.int32] | None = None
     growth: str | None = None
+    domains: str = "stretch"
 
     @property
     def columns(self) -> int:
@@ -124,8 +128,9 @@ class Sight:
             s = selected(field.stencils, chosen)
             return replace(s, order=np.searchsorted(rows, s.order).astype(np.int32))
 
-        growth = field.space.domains if in_time else None
-        return Sight(field.basis, total, field.C, stencils, growth=growth)
+        rule = field.space.domains
+        growth = rule if in_time else None
+        return Sight(field.basis, total, field.C, stencils, growth=growth, domains=rule)
 
 
 class Sites:
@@ -153,6 +158,9 @@ class Sites:
         placed = not (self._middles or sight.total) and sight.basis.averaged
         self.boxes = placed and not material
         self._placed = placed and sight.growth is None
+        # material that shears without bound leads its corners away from where its volume is
+        own = surface is None and not (material or sight.total or sight.basis.averaged)
+        self._beside = own and sight.growth is None
         signs = _signs(points.gdim)
         self.which: Rows = np.arange(1 if self._middles else len(signs))
         if surface is not None and surface.normal is not None:
@@ -195,7 +203,7 @@ class Sites:
             return np.asarray(area / self.which.size)
         half = points["l0"][rows]
         d = half.shape[1]
-        if not self.boxes:
+        if not (self.boxes or self._beside):
             # the normal in the frame of the material
             normal = np.einsum("pij,pi->pj", self._F[rows], normal)
             normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -277,6 +285,10 @@ class Sites:
     def _of_material(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and offsets from their points for motion by the gradients."""
         points = self._points
+        if self._beside:
+            half = update_domains(self._F[each], points["l0"][each], self._sight.domains)
+            r = _signs(points.gdim)[which] * half
+            return points["x"][each] + r, r
         if self._surface is not None and self._middles:
             R = points[self._surface.offset.name][each]
         else:

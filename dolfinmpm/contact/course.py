@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import at_time, shown
+from dolfinmpm._platform.argumentchecks import at_time, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.freedom import vector
 from dolfinmpm.grid.constants import begin_at_zero

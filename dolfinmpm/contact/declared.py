@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface

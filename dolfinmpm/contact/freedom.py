@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.pose import Pose
 

@@ -34,6 +34,10 @@ Chosen = npt.NDArray[np.bool_]
 # Steps along a path within a body, by half its thickness, and how deep it leads through the body
 # at least; paths around a tip are less deep
 _STRIDE, _THROUGH = 0.25, 0.25
+# Cosine of the angle between the normals of opposite faces at most: for short paths, and for paths
+# longer than half the thickness. Faces that meet at an edge of 45° or more are beside each other:
+# at whatever depth a corner comes from one to the other, smaller steps do not change it
+_OPPOSITE, _AROUND = -math.sqrt(0.5), -1e-6
 # Strides along a path at most
 _MOST = 10_000
 # Which corner of a box is where in each direction, by dimension
@@ -158,7 +162,8 @@ def passes(surface: RigidSurface, half: float, start: Array, end: Array, gap: Ar
     if not rows.size:
         return None
     low, first = _along(surface, start[rows], end[rows], half)
-    turned = np.sum(first * surface.probe(end[rows])[1], axis=1) < 0.0
+    most = np.where(way[rows] > half, _AROUND, _OPPOSITE)
+    turned = np.sum(first * surface.probe(end[rows])[1], axis=1) < most
     if not np.any(turned & (low <= -_THROUGH * half)):
         return None
     return f"get through it, whose mean thickness is {2 * half:.3g} m"

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.given import ReadOnce
+from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.contact.course import Course, Motion, first_rate
 from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of
@@ -82,6 +82,13 @@ class RigidBody(ReadOnce):
             open, inside out, or meets itself at an edge; the message names the place. Or an
             argument is assigned to later.
         OSError: A file cannot be read.
+
+    A disc that goes down by 1 cm per step:
+
+    >>> import dolfinmpm as mpm
+    >>> disc = mpm.RigidBody(mpm.Disc((2, 3), 1.0), increment=(0.0, -0.01), name="disc")
+    >>> disc.position.tolist(), disc.name
+    ([2.0, 3.0], 'disc')
     """
 
     _attributes = frozenset({"name"})

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dolfinmpm._platform.checks import coordinates, number
+from dolfinmpm._platform.argumentchecks import coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import in_radians
 from dolfinmpm.body.shapes import Polygon, Shape
@@ -24,6 +24,11 @@ class Plane(Shape):
 
     Raises:
         ParameterError: The normal is zero, or point and normal differ in dimension.
+
+    >>> import dolfinmpm as mpm
+    >>> floor = mpm.RigidBody(mpm.Plane(point=(0, 0), normal=(0, 1)), name="floor")
+    >>> floor.position.tolist()
+    [0.0, 0.0]
     """
 
     def __init__(self, point: Sequence[float], normal: Sequence[float]):
@@ -49,6 +54,12 @@ class Wedge(Polygon):
 
     Raises:
         ParameterError: The angle is not between 0 and 90 degrees, or the height not positive.
+
+    >>> import dolfinmpm as mpm
+    >>> shape = mpm.Wedge(tip=(2, 2), semi_angle=30, height=1)
+    >>> wedge = mpm.RigidBody(shape, increment=(0.0, -0.01), name="wedge")
+    >>> wedge.position.round(6).tolist()
+    [2.0, 2.5]
     """
 
     def __init__(self, tip: Sequence[float], semi_angle: float, height: float):
@@ -74,6 +85,12 @@ class Cone(Shape):
 
     Raises:
         ParameterError: A size is not positive, or the shaft ends within the cone.
+
+    >>> import dolfinmpm as mpm
+    >>> tip = mpm.Cone(tip=(0, 0, 1), radius=0.0178, semi_angle=30, length=0.5)
+    >>> cone = mpm.RigidBody(tip, velocity=(0.0, 0.0, -0.02), name="cone")
+    >>> cone.position.round(6).tolist()
+    [0.0, 0.0, 1.25]
     """
 
     def __init__(

@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis, Placement, Stencils
 from dolfinmpm.basis.space import extraction
-from dolfinmpm.basis.stencils import selected, spread, together
+from dolfinmpm.basis.stencils import concatenated, selected, spread
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, entities
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
@@ -226,14 +226,16 @@ class _Builder:
             rows = np.asarray(np.flatnonzero(of.boundary.present()), np.int32)
             of_all[of.boundary.markers.number] = ActiveBoundary(of.boundary.placement(), rows)
         # markers activate cells like points without volume
-        where = together([bodies, *(one.seen for one in of_all.values())])
+        where = concatenated([bodies, *(one.seen for one in of_all.values())])
         averages = any(region.averages for region in terms.regions)
         bases = _bases(fields, where, averages, points.partition, terms.layers)
         self._drafts = [self._draft(k, *both) for k, both in enumerate(zip(fields, bases))]
         self.boundaries = of_all
         if not all(of.boundary.activates for of in terms.boundaries):
             self.boundaries = self._in_active_cells(of_all)
-            where = together([bodies, *(one.seen.of(one.rows) for one in self.boundaries.values())])
+            where = concatenated(
+                [bodies, *(one.seen.of(one.rows) for one in self.boundaries.values())]
+            )
         self._where = where
 
     def _draft(self, number: int, field: Field, basis: Basis) -> _Draft:

@@ -67,7 +67,7 @@ class FacetModulus(fem.Function):
     Args:
         points: Material points.
         u: Increment whose laws are meant.
-        target: Local constant that it is to give, see `dolfinmpm.assembly.facetpairs`; None
+        target: Local constant that it is to give, see `dolfinmpm.assembly.facetpenalties`; None
             for the P-wave modulus itself.
         scaling: Of the term that it is in, see `ghost`.
 

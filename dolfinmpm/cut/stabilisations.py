@@ -10,7 +10,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, number, shown
+from dolfinmpm._platform.argumentchecks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.basis.space import Space
@@ -85,6 +85,11 @@ class Stabilisation:
     Raises:
         ParameterError: A parameter has the wrong type or a value outside its range, or the kind
             has no such parameter. The message names the parameter.
+
+    >>> import dolfinmpm as mpm
+    >>> weak = mpm.Stabilisation("ghost", factor=0.1)
+    >>> weak.kind, weak.factor, mpm.Stabilisation.takes("aggregation")
+    ('ghost', 0.1, ('threshold',))
     """
 
     kind: str = "none"

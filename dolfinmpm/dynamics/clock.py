@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import number, shown, whole
+from dolfinmpm._platform.argumentchecks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord
@@ -103,6 +103,10 @@ def times(
     Raises:
         ParameterError: The times do not increase, or are too many. Or dt is given together with
             several times, at_once is not positive, or a pass of an automatic loop took no step.
+
+    >>> import dolfinmpm as mpm
+    >>> [round(float(t), 3) for t in mpm.times(0.3, dt=0.1)]
+    [0.1, 0.2, 0.3]
     """
     start = number("start", start, unit="s")
     if np.ndim(end) == 1:

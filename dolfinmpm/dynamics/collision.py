@@ -36,7 +36,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import shown, truth
+from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 
@@ -63,6 +63,22 @@ class Collision:
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    The first body pushes the second:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> first = mpm.fill(grid, mpm.Box((0, 0), (1, 2)), per_cell=2, density=2000.0, tag=1)
+    >>> points = first + mpm.fill(grid, mpm.Box((1, 0), (2, 2)), per_cell=2, density=2000.0, tag=2)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> touch = mpm.Collision((1, 2), friction=0.3)
+    >>> problem = mpm.Explicit(F, V.increment, points, collision=touch)
+    >>> points["velocity"][points["tag"] == 1] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> bool(points["velocity"][points["tag"] == 2, 0].mean() > 0.0)
+    True
     """
 
     tags: Sequence[int | tuple[int, ...]] = (1, 2)

@@ -70,7 +70,7 @@ def wave_speed(points: MaterialPoints, declarations: Sequence[Any]) -> Array:
     """
     stiffness = np.zeros(len(points))
     for declaration in declarations:
-        stiffness[declaration.rows] = declaration.stiffness()
+        stiffness[declaration.rows] = declaration.elastic.stiffness()
     return np.sqrt(stiffness / points.fields.read("density"))
 
 

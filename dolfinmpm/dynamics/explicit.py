@@ -19,9 +19,9 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm._platform.checks import check_kind, choice, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -108,6 +108,20 @@ class Explicit(MovingBody, Problem):
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    A free body keeps its momentum:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.Explicit(F, V.increment, points)
+    >>> points["velocity"] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> problem.momentum()[0].round(6).item(), problem.critical_step() < 0.1
+    (16000.0, True)
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
@@ -116,7 +130,7 @@ class Explicit(MovingBody, Problem):
     # `time` is the time of the state
     _live = frozenset({"courant", "time"})
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -237,7 +251,7 @@ class Explicit(MovingBody, Problem):
             self.points, basis, self.held, laws, loads, settings, sides, domains, rigid
         )
 
-    @together
+    @collective
     def critical_step(self, exact: bool = False) -> float:
         """The longest stable step (s). Collective.
 
@@ -266,7 +280,7 @@ class Explicit(MovingBody, Problem):
     def _set_penalties(self, here: Activation) -> None:
         self.form.set_penalties(replace(here, blocks={}), ghost=False)
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
 
@@ -282,7 +296,7 @@ class Explicit(MovingBody, Problem):
         """
         return ExplicitCall(self, self._loop, self._between, t).run()
 
-    @together
+    @collective
     def save(self, path: str | os.PathLike[str]) -> None:
         """See `Problem.save`. Collective."""
         super().save(path)

@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import UnknownNameError
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.bodies import Bodies
@@ -329,7 +329,7 @@ class MovingBody:
     ledger: Any
     mapping: Any
 
-    @together
+    @collective
     def energies(self) -> Energies:
         """Present energies of the body, and work done since the first step. Collective.
 
@@ -339,12 +339,12 @@ class MovingBody:
         """
         return self.ledger.energies()
 
-    @together
+    @collective
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""
         return momentum_of(self.points)
 
-    @together
+    @collective
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 

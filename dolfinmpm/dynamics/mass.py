@@ -9,7 +9,7 @@ import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import (
     ParameterError,
 )

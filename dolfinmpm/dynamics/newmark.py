@@ -21,9 +21,9 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
@@ -171,9 +171,23 @@ class Newmark(TimeStepping):
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    A free body keeps its velocity:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.Newmark(F, V.increment, points)
+    >>> points["velocity"] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> (points["x"] - points["x0"])[0, 0].round(9).item()
+    0.1
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -207,9 +221,23 @@ class GeneralisedAlpha(TimeStepping):
         FormError: The form carries fields from the end of a step to the end of the next step,
             without the time level at which forces balance. `poromechanics` gets this level by its
             own rho_inf.
+
+    A free body keeps its velocity:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.GeneralisedAlpha(F, V.increment, points, rho_inf=0.9)
+    >>> points["velocity"] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> points["velocity"][0, 0].round(9).item()
+    1.0
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,

@@ -8,7 +8,7 @@ from typing import Any
 
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.smallmass import Filter, checked_viscosity, filters

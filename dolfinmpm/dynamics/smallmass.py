@@ -9,7 +9,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils, gather
 from dolfinmpm.body.axisymmetry import full_gradient

@@ -11,9 +11,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -110,13 +110,30 @@ class Transient(QuasiStatic):
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    One hour of consolidation under a settlement of 1 cm:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=1800.0)
+    >>> V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    >>> u, v, p, q = V.increment, V.test, Q.increment, Q.test
+    >>> soil = mpm.materials.Hencky(E=1e6, nu=0.0)
+    >>> F = mpm.poromechanics(soil, points, (u, p), (v, q), permeability=1e-7, porosity=0.4)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.fixed(Q, "top")
+    >>> bcs += mpm.prescribed(V, "top", 1, increment=-0.01)
+    >>> problem = mpm.Transient(F, [u, p], points, bcs)
+    >>> record = problem.step(3600.0)
+    >>> problem.time, points["pressure"].max().round(0).item()
+    (3600.0, 3283.0)
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
     scheme: Rates
     _takes_scheme = False
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,

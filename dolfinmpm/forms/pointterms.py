@@ -20,14 +20,14 @@ from ufl.constantvalue import zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
+from dolfinmpm.forms.placeholders import Slots
 from dolfinmpm.forms.pointwise import Program, compile_program
-from dolfinmpm.forms.slots import Slots
 from dolfinmpm.forms.termqueries import brief, depends_on, operators_in, summands, tags_of
 
 __all__ = ["PointTerms", "TangentBlock", "component", "derive"]

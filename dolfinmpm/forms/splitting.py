@@ -7,7 +7,7 @@ from typing import Any
 import ufl
 from ufl.algorithms import expand_derivatives, extract_coefficients
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary
@@ -17,11 +17,11 @@ from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.integrals import by_measure, check_derivatives
+from dolfinmpm.forms.lawderivatives import through_laws
 from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
-from dolfinmpm.forms.tagged import Tagged, tags_by_term
+from dolfinmpm.forms.tagchecks import Tagged, tags_by_term
 from dolfinmpm.forms.termqueries import brief, operators_in, tags_of, term_of
-from dolfinmpm.forms.throughlaws import through_laws
 
 __all__ = ["BoundaryTerms", "SplitForm", "split"]
 

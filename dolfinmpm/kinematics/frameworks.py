@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.forms.operators import KeptTangents
-from dolfinmpm.kinematics.measures import StrainMeasure, measure_in
 from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.kinematics.spectral import components, kept_numbers, stress_kernel
+from dolfinmpm.kinematics.strainformulations import StrainMeasure, measure_in
 from dolfinmpm.materials.base import Law
 
 __all__ = ["Framework", "symmetric"]

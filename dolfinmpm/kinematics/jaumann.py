@@ -6,7 +6,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.measures import StrainMeasure
+from dolfinmpm.kinematics.strainformulations import StrainMeasure
 
 __all__ = ["Jaumann"]
 

@@ -6,8 +6,8 @@ axes n_a ⊗ n_a it is the law's tangent, between two axes it is the secant of t
 Non-Linear Elastic Deformations, §6.1.4; de Souza Neto, Perić & Owen 2008, Computational Methods
 for Plasticity, appendix A). The steps before and after the law are functions that FFCx has
 compiled: from the increment to the trial tensor, and from the law's stress to the flux; see
-`dolfinmpm.kinematics.measures`. The loop calls these functions by their addresses, so that the
-data of a point stay in the cache.
+`dolfinmpm.kinematics.strainformulations`. The loop calls these functions by their addresses, so
+that the data of a point stay in the cache.
 
 Symmetric tensors are stored as rows of numbers: xx, yy, zz, xy, yz, xz in fields of points. Trial
 tensors and stresses have only the components within the dimensions of the points. Directions out of

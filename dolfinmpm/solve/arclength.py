@@ -14,8 +14,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.formchecks import check_form
@@ -178,13 +178,29 @@ class ArcLength(QuasiStatic):
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
         FormError: The load is not in the form, or the control is not a form over the points.
+
+    The first step aims at a tenth of the load:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> from dolfinx import fem
+    >>> load = fem.Constant(grid, (0.0, -1e4))
+    >>> F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, V.increment, V.test)
+    >>> F += mpm.Surface(points, lambda x: x[1] > 1.9, (0, 1)).traction(load, V.test)
+    >>> problem = mpm.ArcLength(F, V.increment, points, mpm.fixed(V, "bottom"), load=load)
+    >>> record = problem.step()
+    >>> round(record.factor, 3), load.value.round(0).tolist()
+    (0.1, [0.0, -1001.0])
     """
 
     history: list[ArcRecord]  # type: ignore[assignment]
     scheme: AlongPath
     _takes_scheme = False
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -242,7 +258,7 @@ class ArcLength(QuasiStatic):
         """Load factor λ in the present state."""
         return self.path.factor
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> ArcRecord:
         """Take one step along the path. Collective.
 

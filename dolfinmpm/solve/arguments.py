@@ -18,7 +18,14 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_function, check_kind, choice, number, shown, whole
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_kind,
+    choice,
+    number,
+    shown,
+    whole,
+)
 from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space

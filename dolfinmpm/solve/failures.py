@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm.basis.heldmotions import free_motions
+from dolfinmpm.basis.conditionchecks import free_motions
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.rigid import RigidBody

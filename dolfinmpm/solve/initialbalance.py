@@ -11,9 +11,9 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, whole
+from dolfinmpm._platform.argumentchecks import check_kind, number, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.body.points import GHOST_FACETS
@@ -31,7 +31,7 @@ from dolfinmpm.solve.step import Step
 __all__ = ["equilibrate"]
 
 
-@together
+@collective
 def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20) -> int:
     """Bring the stress of a body into balance with its loads, without moving it. Collective.
 
@@ -61,6 +61,21 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
         ParameterError: The problem is not quasi-static, the points are deformed, or a number is
             outside its range.
         ConvergenceError: The force is not in balance after `most` steps, or a step failed.
+
+    The weight of a level body gives it stress, and no displacement:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> import ufl
+    >>> F -= ufl.inner(points.density * ufl.as_vector((0.0, -9.81)), V.test) * points.dX
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    >>> number = mpm.equilibrate(mpm.QuasiStatic(F, V.increment, points, bcs))
+    >>> (points["x"] == points["x0"]).all().item(), round(points["stress"][0, 1, 1].item(), -2)
+    (True, -29400.0)
     """
     check_kind("problem", problem, QuasiStatic, "give an mpm.QuasiStatic")
     if problem.scheme.in_time or isinstance(problem, ArcLength):

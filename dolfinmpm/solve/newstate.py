@@ -13,7 +13,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.body.axisymmetry import deformation, in_section
-from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints, PointField

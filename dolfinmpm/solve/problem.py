@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any, ClassVar
 
 import ufl
@@ -14,18 +15,18 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import file_path, shown
+from dolfinmpm._platform.argumentchecks import file_path, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import FormError, ParameterError
-from dolfinmpm._platform.given import ReadList, ReadOnce
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.readonce import ReadList, ReadOnce
 from dolfinmpm.assembly.state import Keeps, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
+from dolfinmpm.basis.conditionchecks import warn_idle
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.heldmotions import warn_idle
-from dolfinmpm.body.meshparts import warn_of_imbalance
+from dolfinmpm.body.meshpartition import warn_of_imbalance
 from dolfinmpm.body.migration import settle
+from dolfinmpm.body.overlapchecks import check_room
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.room import check_room
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.cut.activation import activate, active_on_grid
@@ -201,6 +202,10 @@ class Problem(ReadOnce):
         """Fields, bases, stabilisation, laws, terms, conditions, scheme and solver, in lines."""
         return summary(self)
 
+    def _repr_html_(self) -> str:
+        """The same lines, for notebooks."""
+        return f"<pre>{escape(summary(self))}</pre>"
+
     def scheme_lines(self) -> list[str]:
         """Lines of the summary on scheme and solver."""
         return self.scheme.summary()
@@ -248,7 +253,7 @@ class Problem(ReadOnce):
         first = next(iter(movers(spaces)), 0)
         return spaces[first].increment.ufl_shape == (self.points.gdim,)
 
-    @together
+    @collective
     @stages.output
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for a restart, one archive of NumPy (.npz). Collective.
@@ -266,7 +271,7 @@ class Problem(ReadOnce):
         """
         save(self, file_path("path", path))
 
-    @together
+    @collective
     def load(self, path: str | os.PathLike[str]) -> None:
         """Restart from a checkpoint of `save`, on any number of ranks. Collective.
 
@@ -308,7 +313,7 @@ class Problem(ReadOnce):
             ("scheme", self.scheme),
         ]
 
-    @together
+    @collective
     def state(self) -> dict[str, Any]:
         """The state from step to step besides the points' fields, by name. Collective.
 
@@ -317,13 +322,13 @@ class Problem(ReadOnce):
         """
         return gathered(self.keeping())
 
-    @together
+    @collective
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`, on any number of ranks. Collective."""
         given_back(self.keeping(), values)
         self.here = None
 
-    @together
+    @collective
     @stages.activate
     def activate(self, step: Step | None = None) -> Activation:
         """The activation for a step from the present positions of the points. Collective.
@@ -380,12 +385,12 @@ class Problem(ReadOnce):
         """Whether a number of unknowns is stored in blocks, see `Unknowns`."""
         return False
 
-    @together
+    @collective
     def operator(self) -> Operator:
         """The weak form in the present state: residual, tangent, external forces. Collective."""
         return Operator(self.form, self.activate())
 
-    @together
+    @collective
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""
         operator = self.operator()

@@ -12,8 +12,7 @@ from mpi4py import MPI
 from ufl.algorithms.analysis import extract_constants
 from ufl.constantvalue import zero
 
-from dolfinmpm._platform.alike import told
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import (
     FormError,
     FreeAxisWarning,
@@ -22,9 +21,10 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
+from dolfinmpm._platform.plainvalues import plain_value
 from dolfinmpm.assembly.stencilsums import Matrix
+from dolfinmpm.basis.conditionchecks import idle
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.heldmotions import idle
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import UNSET, MaterialPoints, PointField
 from dolfinmpm.cut.activation import active_on_grid
@@ -337,7 +337,7 @@ def _check_law(condition: WeakCondition, declarations: Sequence[Declaration]) ->
     if not near:
         return
     name = condition.boundary.name
-    if not any(d.law is own.law or told(d.law) == told(own.law) for d in near):
+    if not any(d.law is own.law or plain_value(d.law) == plain_value(own.law) for d in near):
         raise FormError(
             f"the condition (mpm.dirichlet) at '{name}' has the traction of {own.law!r}, and the "
             f"body there that of {near[0].law!r} ({in_words(near[0].tags)}): give the body's law, "

@@ -10,9 +10,9 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform import garbage, stages
+from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.state import Keeps
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
@@ -22,6 +22,7 @@ from dolfinmpm.cut.participants import Prolongate
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.easing import FIRST, ease, jumps
 from dolfinmpm.solve.failures import failed_step, why_step_failed
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
@@ -50,9 +51,11 @@ class QuasiStatic(Problem):
     unknowns are numbered. PETSc's SNES finds the increment for which the form vanishes. Only then
     the state of the points changes.
 
-    A step that does not converge leaves the state unchanged, and is halved. The DOLFINx constants
-    and functions in the form carry the load. In substeps they go from their values at the last
-    converged step to the values set by the user. Prescribed increments are divided likewise.
+    A step that does not converge leaves the state unchanged, and is halved. If the smallest substep
+    fails too, substeps may release by shares what is out of balance, see `dolfinmpm.solve.easing`.
+    The DOLFINx constants and functions in the form carry the load. In substeps they go from their
+    values at the last converged step to the values set by the user. Prescribed increments are
+    divided likewise.
 
     Args:
         form: Weak form, linear in the test functions; see `momentum`.
@@ -92,13 +95,27 @@ class QuasiStatic(Problem):
         ParameterError: An argument has the wrong type or a value outside its range.
         FormError: A term of the form cannot be evaluated in its integral.
         ConflictingConditionsError: Two conditions contradict each other.
+
+    A block in an oedometer, 1 % shorter:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 4)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.04)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    >>> record = problem.step()
+    >>> points["stress"][0, 1, 1].round(2).item()
+    -10151.85
     """
 
     _live = frozenset({"tolerance", "max_iterations", "max_halvings"})
 
     scheme: Static
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -188,7 +205,7 @@ class QuasiStatic(Problem):
     def _in_blocks(self, count: int) -> bool:
         return self.newton.linear.in_blocks(count)
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> Any:
         """Take one step, to the present load or to the time t. Collective.
 
@@ -213,19 +230,23 @@ class QuasiStatic(Problem):
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()
-        done, share, whole = 0.0, self.share, False
+        done, share, whole, eased = 0.0, self.share, False, False
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
                 step = self.scheme.substep(done, share)
+                release = share / (1.0 - done) if eased else 1.0
                 self.loads.set(done + share)
-                failed = self._attempt(step)
+                failed = self._attempt(step, release)
                 if failed is None:
                     done = 1.0 if 1.0 - done - share < 1e-12 else done + share
                     record.parts += 1
                     share = min(1.0, 2.0 * share)
                     continue
                 if share * (1 + 1e-9) < 2 * 0.5**self.max_halvings:
+                    if not eased and jumps(self, record.residuals):
+                        eased, share = True, FIRST
+                        continue
                     raise ConvergenceError(why_step_failed(self, failed, done, share))
                 record.halvings += 1
                 share *= 0.5
@@ -245,16 +266,21 @@ class QuasiStatic(Problem):
         self.history.append(record)
         return record
 
-    def _attempt(self, step: Step) -> Failed | None:
+    def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
         """Take a step or a substep; return None, or the reason of a failure. Collective.
 
         A failure changes nothing, because new values stay in `NewState` until `_commit`. The next
         attempt sets loads from the last converged substep, and bodies from their start.
+
+        Args:
+            step: The step or substep.
+            release: Share of the forces out of balance at its start that it releases, see `ease`.
         """
         failed = self._prepare(step)
         if failed is not None:
             return failed
         operator = self.scheme.system(self, step)
+        ease(operator, release)
         self._record.unknowns = operator.here.unknowns.total
         self.newton.guess.length = step.dt
         for term in operator.terms:
@@ -286,7 +312,7 @@ class QuasiStatic(Problem):
         """Check that a step may begin, and distribute the points over the ranks. Collective."""
         self._check_still_valid()
         raise_together(self.comm, self.points.fault())
-        garbage.free(self.comm)
+        petscgarbage.free(self.comm)
         self._record.migrated += balance(self.points)
         fault = self.bodies.fault(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")
@@ -322,7 +348,7 @@ class QuasiStatic(Problem):
             f"{method or 'chosen in the first step'}",
         ]
 
-    @together
+    @collective
     def info(self) -> str:
         """Lines to print: points, unknowns and the linear solver at present. Collective."""
         points, here, comm = self.points, self.here, self.comm

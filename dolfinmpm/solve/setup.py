@@ -9,8 +9,8 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.assembly.ownstress import OwnStress
-from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.assembly.pointupdates import PointUpdates
+from dolfinmpm.assembly.uflstress import OwnStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Field, movers
@@ -19,7 +19,7 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
 from dolfinmpm.forms.ghostterms import penalty_of
 from dolfinmpm.forms.hoop import check_hoop
-from dolfinmpm.kinematics.strainmarks import ENERGY, MARKS
+from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Stabilisations", "updates_of", "with_moduli", "with_stabilisations"]

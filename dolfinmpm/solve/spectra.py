@@ -11,9 +11,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import check_kind, coordinates
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 
@@ -100,7 +100,7 @@ def _kernel_of(matrix: PETSc.Mat, kernel: Any) -> Array | None:
     return found
 
 
-@together(own=("kernel",))
+@collective(local=("kernel",))
 def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float:
     """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
 
@@ -114,6 +114,13 @@ def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float
     Raises:
         ParameterError: The argument is no square PETSc matrix with rows, or the kernel has other
             rows.
+
+    >>> import dolfinmpm as mpm
+    >>> from petsc4py import PETSc
+    >>> K = PETSc.Mat().createDense((2, 2), array=[[2.0, 0.0], [0.0, 50.0]])
+    >>> K.assemble()
+    >>> round(mpm.study.condition_number(K), 9)
+    25.0
     """
     from scipy import linalg
 
@@ -171,7 +178,7 @@ def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:
     return low, high
 
 
-@together
+@collective
 def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False) -> float:
     """Largest stable step of central differences, 2/√λ_max of K x = λ M x (s). Collective.
 
@@ -185,6 +192,17 @@ def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False
 
     Raises:
         ParameterError: The arguments are no square PETSc matrices of one size.
+
+    A mass of 1 kg at a spring of 100 N/m, 2/ω:
+
+    >>> import dolfinmpm as mpm
+    >>> from petsc4py import PETSc
+    >>> K = PETSc.Mat().createDense((1, 1), array=[[100.0]])
+    >>> M = PETSc.Mat().createDense((1, 1), array=[[1.0]])
+    >>> K.assemble()
+    >>> M.assemble()
+    >>> round(mpm.study.critical_step(K, M), 9)
+    0.2
     """
     from scipy import linalg
 
@@ -313,7 +331,7 @@ def near_kernel_within(here: Activation, matrix: PETSc.Mat, rows: PETSc.IS) -> P
     return PETSc.NullSpace().create(vectors=modes, comm=unknowns.comm)
 
 
-@together
+@collective
 def rigid_modes(here: Activation) -> Array:
     """Translations and rotations in the unknowns of a single field, shape (owned unknowns, n).
 
@@ -322,6 +340,18 @@ def rigid_modes(here: Activation) -> Array:
 
     Raises:
         ParameterError: The argument is no activation.
+
+    A free body in two dimensions has three:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points)
+    >>> mpm.study.rigid_modes(problem.activate()).shape[1]
+    3
     """
     check_kind("here", here, Activation, "give problem.activate()")
     unknowns, basis = here.unknowns, here.fields[0].basis

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from dolfinmpm._platform.html import listing
+
 __all__ = ["Failed", "Step", "StepRecord"]
 
 
@@ -75,3 +77,8 @@ class StepRecord:
     seconds: float = 0.0
     stages: dict[str, float] = field(default_factory=dict)
     bodies: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        """The figures of the step as a table, for notebooks."""
+        names = "iterations", "parts", "halvings", "unknowns", "imbalance", "seconds"
+        return listing({name: getattr(self, name) for name in names}, "step")

@@ -12,9 +12,9 @@ import ufl
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.gridassembler import GridAssembler
-from dolfinmpm.assembly.ownstress import OwnStress
+from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.term import ActiveTerm, Term
-from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.assembly.uflstress import OwnStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.means import Means
@@ -180,7 +180,7 @@ class WeakForm:
     def _moduli_of(self, laws: Sequence[Declaration]) -> Array:
         out = np.zeros((len(self.points), 2))
         for declaration in laws:
-            out[declaration.rows] = declaration.moduli()
+            out[declaration.rows] = declaration.elastic.moduli()
         return out
 
     def place(self) -> None:

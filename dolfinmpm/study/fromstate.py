@@ -10,15 +10,15 @@ from types import TracebackType
 import numpy as np
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import number, whole
+from dolfinmpm._platform.argumentchecks import number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.transient import Transient
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.large import LargeStrain
-from dolfinmpm.kinematics.small import SmallStrain
+from dolfinmpm.kinematics.largestrain import LargeStrain
+from dolfinmpm.kinematics.smallstrain import SmallStrain
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.operator import Operator

@@ -13,9 +13,9 @@ from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.nitschepenalty import trace_constants
+from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.state import Local
 from dolfinmpm.assembly.term import NewState, Term
-from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import OWN, Boundary
@@ -120,7 +120,7 @@ class BoundaryTerm(Term):
             if not (stabilised and len(fields) == 1 and _stays(self.boundary, rows)):
                 at = np.zeros((len(markers), 2))
                 for one in self.declarations:
-                    at[one.rows] = one.moduli()
+                    at[one.rows] = one.elastic.moduli()
                 found = trace_constants(here, k, self.boundary, moduli(), at)
                 markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
                 markers[f"{TRACE}_cell"] = _middles(self.boundary)

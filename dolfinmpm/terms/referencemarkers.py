@@ -28,7 +28,7 @@ from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.migration import settle
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.kinematics.coverage import look_ahead
+from dolfinmpm.kinematics.walldistance import look_ahead
 
 __all__ = ["refer", "require_reference"]
 

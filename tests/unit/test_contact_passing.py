@@ -197,6 +197,19 @@ def test_paths_through_bodies_are_told_from_paths_beside_and_along_them():
         gap = blade.probe(path[1])[0]
         assert (passes(blade, half, *path, gap) is not None) == passing
     assert [bool(entered(blade, half, *path)[0]) for path in (through, beside)] == [True, False]
+    # from face to face of a turned box or of a triangle, by however small a step
+    for corners in ([(-1, -3), (3, -1), (1, 3), (-3, 1)], [(-2, 0), (2, 0), (0, 12**0.5)]):
+        solid = surface_of(mpm.Polygon(np.array(corners, float) * np.sqrt(3)), 0.0)
+        half, (tip, left, right) = half_thickness(solid), solid.x[[0, -1, 1]]
+        middle = (left - tip) / np.linalg.norm(left - tip) + (right - tip) / np.linalg.norm(
+            right - tip
+        )
+        aside = 1e-6 * (right - left)
+        for reach in (0.3, 0.6):
+            at = tip + reach * half * middle
+            path = (at + aside)[None], (at - aside)[None]
+            assert solid.probe(path[0])[1] @ solid.probe(path[1])[1].T < 1e-9
+            assert passes(solid, half, *path, solid.probe(path[1])[0]) is None
     # around a tip corners come to the other side without harm
     wedge = surface_of(mpm.Wedge((0, 0), np.degrees(0.3), 1.0), 0.0)
     path = np.array([[-0.001, 0.01]]), np.array([[0.001, 0.01]])

@@ -12,7 +12,7 @@ from test_frameworks import KINDS, LAWS, MEASURES, each_dimension, each_law, eac
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError, StateError
 from dolfinmpm.kinematics import framework
-from dolfinmpm.materials.inverse import elastic_strain
+from dolfinmpm.materials.elasticinverse import elastic_strain
 
 
 def some_points(d, n=2):
