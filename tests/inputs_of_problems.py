@@ -10,7 +10,7 @@ INPUTS = {
     "s.path(load=fem.Constant(s.other, (0.0, -1.0)))": "constant 0 of the load is in no term of",
     "s.path(load=fem.Constant(s.grid, (0.0, -1.0)))": "constant 0 of the load is in no term of",
     "s.path(load=[])": "load = [] must be one or several",
-    "s.path(load=[s.g, s.g])": "load has a constant twice, whose load would count",
+    "s.path(load=[s.g, s.g])": "load has a constant twice, so its load would count",
     "s.solver().step(1.0)": "step(1.0): QuasiStatic knows no time, and a step",
     "s.solver().save(None)": "path = None must be a path, such as 'output/name'",
     's.solver().save("/none/dir/a.npz")': "cannot write /none/dir/a.npz: [Errno 2] No",

@@ -246,7 +246,7 @@ class Bodies:
         Args:
             operator: The equations.
         """
-        return [operator.of(contact) for contact in self.contacts]
+        return [operator.active(contact) for contact in self.contacts]
 
     def state(self) -> dict[str, Any]:
         """The state of the bodies and their contacts from step to step."""

@@ -25,7 +25,7 @@ from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import Rows, Sight, longest
 from dolfinmpm.contact.nearby import Nearby
 from dolfinmpm.contact.unseen import missed, passed
-from dolfinmpm.dynamics.halfstep import late_by_contact
+from dolfinmpm.dynamics.halfstep import lateness_by_contact
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.window import Exchange, Window
@@ -194,6 +194,6 @@ class RigidContacts:
         for near, active in zip(self._near, self._active):
             near.keep(active)
         if record:
-            self.late = late_by_contact(self._bodies, self._active, self._points.comm)
+            self.late = lateness_by_contact(self._bodies, self._active, self._points.comm)
         self.work += self._bodies.commit(self._active)
         return None
