@@ -35,7 +35,7 @@ INPUTS = {
     "explicit(s).step()": "step(t) needs the time to go to (s)",
     'explicit(s).critical_step("yes")': "exact = 'yes' must be True or False",
     "transient(s, error=-1.0)": "error = -1 must be above 0",
-    "transient(s, error=nan)": "error = nan must be above 0; nan is what a",
+    "transient(s, error=nan)": "error = nan must be above 0; nan is the result",
     "transient(s).step()": "step(t) needs the time to go to (s)",
     "transient(s, time=3.0)": "time = 3.0 must be a scalar dolfinx.fem.Constant,",
     "transient(s, time=fem.Constant(s.other, 0.0))": "time is a constant of another mesh than",
@@ -57,8 +57,8 @@ INPUTS = {
     "mpm.steps(-1)": "number of steps = -1 must be a whole number of at",
     "mpm.steps([1, 2])": "number of steps = [1, 2] must be a whole number of",
     # -- things twice, of another body, or too late
-    "s.solver().bcs.append(s.bcs[0])": "append: this list has been read already",
-    "s.solver().bcs.clear()": "clear: this list has been read already",
+    "s.solver().bcs.append(s.bcs[0])": "append: the problem has read this list",
+    "s.solver().bcs.clear()": "clear: the problem has read this list",
     "s.solver(form=s.F + footing(s) + footing(s))": "the contact of a footing on 'top' twice",
     "s.solver(form=s.F + hold(s) + hold(s))": "the form has a condition at 'side' twice",
     "s.solver(form=s.F + wall(s) + wall(s))": "the form has a wall (mpm.signorini) at 'right'",
@@ -136,7 +136,7 @@ INPUTS = {
     "mpm.kozeny_carman(1e-05, 1.2)": "porosity = 1.2 must be above 0 and below 1",
     "mpm.kozeny_carman(1e-05, 40)": "porosity = 40 must be above 0 and below 1",
     "mpm.kozeny_carman(-1e-05, 0.4)": "k = -1e-05 m/s must be above 0",
-    "mpm.kozeny_carman(nan, 0.4)": "k = nan m/s must be above 0; nan is what a",
+    "mpm.kozeny_carman(nan, 0.4)": "k = nan m/s must be above 0; nan is the result",
     # -- laws
     "materials.Hencky(0.3, 10000.0)": "Hencky: nu = 10000.0 must be in (-1.0, 0.5)",
     "materials.Hencky(10000.0, 0.5)": "Hencky: nu = 0.5 must be in (-1.0, 0.5)",
@@ -234,7 +234,7 @@ INPUTS = {
     'mpm.figure("b.png", dpi=-1).__enter__()': "dpi = -1 must be above 0",
     'mpm.figure("b.png", nrows=0).__enter__()': "figure cannot make its axes: Number of rows must",
     'mpm.figure("b.png", width="a").__enter__()': "size[0] = 'a' must be a number",
-    'mpm.figure("b.png", height=nan).__enter__()': "size[1] = nan must be finite; nan is what a",
+    'mpm.figure("b.png", height=nan).__enter__()': "size[1] = nan must be finite; nan is the",
     's.plot("a.png", 3)': "no field '3' to colour by; there are id, cell, tag,",
     's.plot("a.png", "stress", component=(-1, 0))':
         "component = (-1, 0) does not fit 'stress' of shape",
