@@ -166,8 +166,8 @@ class Scene:
         """Places of the touching corners (m), the forces (N) and pressures (Pa) there."""
         operator = self.problem.operator()
         (contact,) = self.problem.bodies.acting(operator)
-        operator.rest()
-        operator.touch()
+        operator.move_to_zero()
+        operator.update_contact()
         some = contact.pressures > 0
         own = contact.x[some, :-1], contact.pressures[some], contact.start.areas[some]
         x, p, area = (np.concatenate(part) for part in zip(*self.points.comm.allgather(own)))

@@ -10,7 +10,7 @@ import numpy as np
 from options import BASES, Options, natural, option, positive
 
 import dolfinmpm as mpm
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import moments
 
 INTEGRATORS = ("newmark", "generalised-alpha", "explicit")

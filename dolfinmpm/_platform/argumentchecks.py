@@ -1,4 +1,4 @@
-"""Checks of single arguments; what they raise names the value, the limit and what to do."""
+"""Checks of single arguments; their errors name the value, the limit and the remedy."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ __all__ = [
 Tags = tuple[int, ...] | None
 
 
-# words that a message lists
+# Number of words that a message lists at most
 _MOST = 12
 
 
 def shown(value: Any) -> str:
-    """A value in a message: short, and never a page of an object's inside."""
+    """Short text for a value in a message."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         value = value.item()
     if isinstance(value, (list, tuple)):
@@ -38,7 +38,7 @@ def shown(value: Any) -> str:
         brackets = "[]" if isinstance(value, list) else "()"
         comma = "," * (isinstance(value, tuple) and len(value) == 1)
         return f"{brackets[0]}{', '.join(parts)}{comma}{brackets[1]}"
-    # the default texts of objects tell their address, those of UFL their whole construction
+    # the default text of an object is an address; the text of a UFL expression can fill a page
     plain = isinstance(value, (str, bool, int, float, complex, type(None)))
     if not plain and not (isinstance(value, np.ndarray) and value.size <= 9):
         return f"a {type(value).__name__}"
@@ -47,13 +47,13 @@ def shown(value: Any) -> str:
 
 
 def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
-    """Raise ParameterError unless a value is of a kind.
+    """Raise ParameterError unless a value is an instance of a class.
 
     Args:
         what: Name of the argument.
-        value: What was given.
-        kind: What it must be an instance of.
-        advice: What to give instead.
+        value: The argument.
+        kind: The class.
+        advice: Remedy for the message.
     """
     if not isinstance(value, kind):
         raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")
@@ -64,25 +64,25 @@ def check_function(what: str, value: Any, kind: str = "") -> None:
 
     Args:
         what: Name of the argument.
-        value: What was given.
-        kind: Arguments and result of the function, in words.
+        value: The argument.
+        kind: Arguments and result of the function, as text for the message.
     """
     if not callable(value):
         raise ParameterError(f"{what} = {shown(value)} must be a function{kind and f' {kind}'}")
 
 
 def at_time(what: str, given: Any, t: float) -> Any:
-    """What a function of time returns; what is given itself if it is none.
+    """Value at a time t (s) of an argument that may be a function of time.
 
     Raises:
-        ParameterError: It cannot be called with a time.
+        ParameterError: The argument is a function, and does not take a time.
     """
     if not callable(given):
         return given
     try:
         return given(t)
     except TypeError:
-        # of its own, or because it takes something else?
+        # the error may come from inside the function, or from its arguments
         try:
             inspect.signature(given).bind(t)
         except TypeError as error:
@@ -91,7 +91,7 @@ def at_time(what: str, given: Any, t: float) -> Any:
                 f"lambda t: 0.1 * t; {error}"
             ) from None
         except ValueError:
-            # one of another language, which tells nothing of itself
+            # a function of another language has no signature
             pass
         raise
 
@@ -104,19 +104,19 @@ def number(
     unit: str = "",
     closed: bool = False,
 ) -> float:
-    """A real number that lies between two limits.
+    """A real number between two limits.
 
     Args:
         what: Name of the argument.
-        value: What was given; words and truth values are no numbers.
+        value: The argument; words and truth values are no numbers.
         low: Lower limit.
         high: Upper limit.
-        unit: Unit of all three.
-        closed: Whether the limits themselves are allowed; infinity never is, unless it
-            is the upper limit.
+        unit: Unit of the value and the limits.
+        closed: Whether the limits themselves are allowed. Infinity is allowed only as an upper
+            limit.
 
     Raises:
-        ParameterError: It is no number, or out of the limits.
+        ParameterError: The value is no number, or not between the limits.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
@@ -128,7 +128,7 @@ def number(
         left = f"{'at least' if closed else 'above'} {low:g}" if low > -math.inf else ""
         right = f"{'at most' if closed else 'below'} {high:g}" if high < math.inf else ""
         limits = " and ".join(limit for limit in (left, right) if limit) or "finite"
-        undefined = "; nan is what a computation leaves that has failed" * math.isnan(given)
+        undefined = "; nan is the result of a failed computation" * math.isnan(given)
         raise ParameterError(f"{what} = {given:g}{unit and f' {unit}'} must be {limits}{undefined}")
     return given
 
@@ -137,7 +137,7 @@ def whole(what: str, value: Any, least: int) -> int:
     """A whole number of at least `least`.
 
     Raises:
-        ParameterError: It is no whole number, or less.
+        ParameterError: The value is no whole number, or is less.
     """
     try:
         given = None if isinstance(value, (bool, np.bool_)) else operator.index(value)
@@ -149,10 +149,10 @@ def whole(what: str, value: Any, least: int) -> int:
 
 
 def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
-    """Numbers as an array, of any shape; whether they are as many as they must be is not asked.
+    """Numbers as an array of any shape; the caller checks the shape.
 
     Raises:
-        ParameterError: They are no numbers.
+        ParameterError: The argument has something else than numbers.
     """
     try:
         return np.array(given, np.float64)
@@ -163,15 +163,15 @@ def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
 
 
 def truth(what: str, value: Any, *words: str) -> bool:
-    """True or False; what merely counts as one of them is refused.
+    """True or False; other values are refused, such as 1 or "no".
 
     Args:
-        what: The argument's name.
-        value: What was given.
-        words: What else the argument may be, for the message.
+        what: Name of the argument.
+        value: The argument.
+        words: Other allowed values, for the message.
 
     Raises:
-        ParameterError: It is neither.
+        ParameterError: The value is neither True nor False.
     """
     if not isinstance(value, (bool, np.bool_)):
         others = "".join(f" or {word!r}" for word in words)
@@ -180,7 +180,7 @@ def truth(what: str, value: Any, *words: str) -> bool:
 
 
 def _plain(word: str) -> str:
-    """A word without what differs between spellings."""
+    """A word without differences of spelling."""
     plain = word.lower().replace("_", "-").replace(" ", "-")
     for british, american in (("centre", "center"), ("isation", "ization"), ("ised", "ized")):
         plain = plain.replace(british, american)
@@ -188,17 +188,18 @@ def _plain(word: str) -> str:
 
 
 def choice(what: str, value: Any, known: Iterable[str]) -> str:
-    """One of some words, as it is spelt here.
+    """One of some words, in the spelling of `known`.
 
     Capitals, hyphens, and British or American spelling make no difference.
 
     Args:
         what: Name of the argument.
-        value: What was given.
+        value: The argument.
         known: The words.
 
     Raises:
-        ParameterError: It is none of them; the message has the first dozen, and the nearest.
+        ParameterError: The value is another word; the message lists the first dozen words, and
+            the nearest word.
     """
     words = list(known)
     if isinstance(value, str):
@@ -213,10 +214,10 @@ def choice(what: str, value: Any, known: Iterable[str]) -> str:
 
 
 def file_path(what: str, value: Any) -> Path:
-    """A path from what a user gave for one.
+    """An argument as a path.
 
     Raises:
-        ParameterError: It is neither text nor a path.
+        ParameterError: The argument is neither text nor a path.
     """
     if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
         raise ParameterError(f"{what} = {shown(value)} must be a path, such as 'output/name'")
@@ -224,10 +225,10 @@ def file_path(what: str, value: Any) -> Path:
 
 
 def as_tags(tag: Any) -> Tags:
-    """Tags of points, in order, from an integer, several, or None for all points.
+    """Tags of points in increasing order, from one tag or several; None for all points.
 
     Raises:
-        ParameterError: They are no whole numbers from 0, or there is none.
+        ParameterError: A tag is no whole number from 0, or there is no tag.
     """
     if tag is None:
         return None

@@ -1,8 +1,8 @@
-"""Output that nobody reads any more, as in `python3 case.py | head`, ends a run without words.
+"""A broken pipe, as after `python3 case.py | head`, ends a run without messages.
 
-PETSc takes the signal of a broken pipe for a crash, prints a page and aborts. Here Python has the
-signal again: what is printed then raises `BrokenPipeError`, which ends the script, and what is
-said of it goes where the output went. (Before Python 3.13 its traceback comes first.)
+PETSc takes the signal of a broken pipe for a crash, prints a page and aborts. Here Python gets the
+signal back. The next output then raises `BrokenPipeError`, which ends the script, and messages
+about the error are dropped. Before Python 3.13, a traceback is printed first.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ __all__ = ["end_quietly"]
 
 
 def _is_broken(stream: Any) -> bool:
-    """Whether what is written to a stream reaches nobody."""
+    """Whether nobody reads from a stream."""
     try:
         poll = select.poll()
-        # that nobody reads is told whether asked or not
+        # an error of the pipe is reported without asking for it
         poll.register(stream.fileno(), 0)
         return bool(poll.poll(0))
     except (AttributeError, OSError, ValueError):
-        # not of a file, or closed
+        # the stream has no file, or is closed
         return False
 
 
-def _drop_what_nobody_reads(*signal_and_frame: Any) -> None:
-    """Drop what is written from now on if the output, or messages, reach nobody any more.
+def _drop_unread_output(*signal_and_frame: Any) -> None:
+    """Drop further output if nobody reads the output or the messages.
 
-    On a signal the stream that broke stays as it is: the write that broke may have been one in
-    part, which raises nothing, and the next one must. What is said of it is dropped.
+    After a signal, the broken stream itself is kept: a partial write raises nothing, and the next
+    write must raise. Messages about the error are dropped.
     """
     streams = sys.stdout, sys.stderr
     if not any(_is_broken(stream) for stream in streams):
@@ -49,17 +49,16 @@ def _drop_what_nobody_reads(*signal_and_frame: Any) -> None:
 
 
 def end_quietly() -> None:
-    """Let a run whose output nobody reads end with exit code 1 and without words.
+    """Let a broken pipe end the run with exit code 1 and without messages.
 
-    To be called after PETSc's start, which takes the signal. Other pipes break as Python has it.
+    Call it after PETSc's start, because PETSc takes the signal. Other pipes break as in Python.
     """
-    # the interpreter writes what is left at its end, and would complain
-    atexit.register(_drop_what_nobody_reads)
+    # at its end the interpreter writes the remaining output, and would print an error
+    atexit.register(_drop_unread_output)
     number = getattr(signal, "SIGPIPE", None)
     if number is None or threading.current_thread() is not threading.main_thread():
         return
-    # what Python believes is the handler: its own way to ignore the signal, unless a script has
-    # set another one
+    # Python's handler: Python ignores the signal, unless a script has set a handler
     handler = signal.getsignal(number)
     if handler is not None:
-        signal.signal(number, _drop_what_nobody_reads if handler is signal.SIG_IGN else handler)
+        signal.signal(number, _drop_unread_output if handler is signal.SIG_IGN else handler)

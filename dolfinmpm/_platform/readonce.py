@@ -1,4 +1,4 @@
-"""Objects that read their arguments when they are made, and tell who changes one later."""
+"""Objects that read their arguments only once; later changes of an argument are refused."""
 
 from __future__ import annotations
 
@@ -15,47 +15,46 @@ __all__ = ["ReadList", "ReadOnce"]
 
 
 class ReadList(tuple):
-    """A list that has been read: it can be looked at, and nothing can be added to it."""
+    """A list that a problem has read: its entries can be read, and not changed."""
 
     __slots__ = ()
 
     def __getattr__(self, name: str) -> Any:
         if name in ("append", "clear", "extend", "insert", "pop", "remove", "reverse", "sort"):
             raise UnknownNameError(
-                f"{name}: this list has been read already, and a change would not be looked at; "
+                f"{name}: the problem has read this list already, and a change has no effect; "
                 "make a new problem of the same points, which goes on from their state"
             )
         raise AttributeError(name)
 
 
 class ReadOnce:
-    """Base of classes whose arguments cannot be assigned to as attributes.
+    """Base of classes whose arguments cannot be set later as attributes.
 
-    What Python does without it is silent: the attribute is there, and nobody reads it.
+    Plain Python would store such an attribute without effect.
 
     Raises:
-        ParameterError: An argument is assigned to after the object was made, or a name that is
-            nearly one.
-        UnknownNameError: What is asked for is not there.
+        ParameterError: An argument, or a similar name, is set after the object was made.
+        UnknownNameError: The object has no attribute with a name.
     """
 
-    # arguments that may be assigned to, and those that the object keeps under their own names
+    # arguments that may be set later, and arguments that the object keeps as attributes
     _live: ClassVar[frozenset[str]] = frozenset()
     _attributes: ClassVar[frozenset[str]] = frozenset()
     _arguments: ClassVar[frozenset[str]] = frozenset()
-    # names that others have, and what is said to those who ask for them
+    # names of attributes of other classes, with hints for messages
     _elsewhere: ClassVar[dict[str, str]] = {}
 
     @classmethod
     def _refuse_unknown(cls, names: Iterable[str], hints: dict[str, str]) -> None:
-        """Raise for arguments that the class and those that it is made of do not have.
+        """Raise for unknown arguments.
 
         Args:
-            names: Names of the arguments given.
-            hints: What is said of some of them.
+            names: Names of the given arguments.
+            hints: Hints for messages, by the name of the argument.
 
         Raises:
-            ParameterError: One is unknown; the message has the nearest.
+            ParameterError: An argument is unknown; the message has the nearest name.
         """
         for name in names:
             if name in cls._arguments:
@@ -67,7 +66,7 @@ class ReadOnce:
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        # what is collective has a door around it
+        # a collective constructor is wrapped by its barrier
         code = inspect.unwrap(cls.__init__).__code__
         own = code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount]
         cls._arguments = cls._arguments | frozenset(own)
@@ -84,7 +83,7 @@ class ReadOnce:
         super().__setattr__(name, value)
 
     def __getattr__(self, name: str) -> Any:
-        # only what is not there comes here
+        # Python calls this only for missing attributes
         if name.startswith("_"):
             raise AttributeError(name)
         near = difflib.get_close_matches(name, [n for n in dir(type(self)) if n[0] != "_"], 1)
@@ -92,9 +91,9 @@ class ReadOnce:
         raise UnknownNameError(f"{type(self).__name__} has no {name}{hint and f': {hint}'}")
 
     def _refuse_new(self, name: str) -> None:
-        """Raise ParameterError where a name that nobody reads, or may set, is assigned to.
+        """Raise ParameterError if the user sets a result, or a name similar to an argument.
 
-        Names of the user's own are welcome, and those that the library itself sets.
+        The user may set new names, and the library may set all names.
         """
         kind = type(self)
         caller = sys._getframe(2).f_globals.get("__name__", "")
@@ -102,17 +101,17 @@ class ReadOnce:
             return
         found = getattr(kind, name, None)
         if callable(found) or (isinstance(found, property) and found.fset is None):
-            raise ParameterError(f"{name} is what {self._called()} tells; it cannot be set")
+            raise ParameterError(f"{name} is a result of {self._called()}; it cannot be set")
         near = difflib.get_close_matches(name, kind._arguments, 1, 0.8)
         if found is None and near:
             raise ParameterError(
-                f"{self._called()} has no {name}, and nobody would read it; did you mean {near[0]}?"
+                f"{self._called()} has no {name}: it has no effect; did you mean {near[0]}?"
             )
 
     def _called(self) -> str:
-        """What messages call it."""
+        """Name of the object in messages."""
         return f"this {type(self).__name__}"
 
     def _instead(self, name: str) -> str:
-        """What to do where an argument is to be another one, for messages."""
+        """Remedy for a changed argument, for messages."""
         return f"make a new {type(self).__name__} with {name}=..."

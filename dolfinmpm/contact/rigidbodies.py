@@ -245,7 +245,7 @@ class RigidBodies:
         Args:
             operator: The equations.
         """
-        return [operator.of(contact) for contact in self.contacts]
+        return [operator.active(contact) for contact in self.contacts]
 
     def state(self) -> dict[str, Any]:
         """The state of the bodies and their contacts from step to step."""

@@ -25,7 +25,15 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.grid.lattice import require_lattice
 
-__all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
+__all__ = [
+    "Face",
+    "Faces",
+    "Sides",
+    "absorbing",
+    "frictional",
+    "set_velocities",
+    "split_conditions",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -181,12 +189,8 @@ def _face(space: Space, side: str, friction, impedance) -> Face:
     return Face(space, condition.nodes, axis, end, friction, impedance, name)
 
 
-def divided(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
-    """Separate a list into conditions and faces.
-
-    Raises:
-        ParameterError: The argument is not a list.
-    """
+def split_conditions(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
+    """Separate a list into conditions and faces. The problem checks other arguments."""
     if not isinstance(bcs, (list, tuple)):
         return bcs, []  # type: ignore[return-value]
     faces = [one for one in bcs if isinstance(one, Face)]

@@ -24,7 +24,7 @@ from dolfinmpm.contact.corners import DisplacementBasis, Rows, longest
 from dolfinmpm.contact.neighbourlist import NeighbourList
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
-from dolfinmpm.dynamics.halfstep import late_by_contact
+from dolfinmpm.dynamics.halfstep import lateness_by_contact
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.window import Exchange, Window
@@ -197,6 +197,6 @@ class RigidContacts:
         for near, active in zip(self._near, self._active):
             near.keep(active)
         if record:
-            self.late = late_by_contact(self._bodies, self._active, self._points.comm)
+            self.late = lateness_by_contact(self._bodies, self._active, self._points.comm)
         self.work += self._bodies.commit(self._active)
         return None

@@ -18,7 +18,8 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.dynamics.mass import Mass, point_masses
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import collect, moments, scatter, scatter_affine
 
 __all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]

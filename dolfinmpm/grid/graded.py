@@ -176,13 +176,13 @@ def set_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
         sizes = values.x.array if isinstance(values, fem.Function) else float(values.value)
         found.x.array[:] = sizes
         kept[key] = found
-    grid.__dict__["_dolfinmpm_laid"] = times_regridded(grid) + 1
+    grid.__dict__["_dolfinmpm_regridded"] = times_regridded(grid) + 1
     assert lattice_of(grid) is not None
 
 
 def times_regridded(grid: Any) -> int:
     """How often the lines of a grid have moved."""
-    return int(grid.__dict__.get("_dolfinmpm_laid", 0))
+    return int(grid.__dict__.get("_dolfinmpm_regridded", 0))
 
 
 def _lines(lines: Any) -> list[Array]:

@@ -1,4 +1,4 @@
-"""What ranks compare of problems and of steps; see `dolfinmpm._platform.collective`."""
+"""Data of problems and steps that ranks compare; see `dolfinmpm._platform.collective`."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ __all__ = ["of_step"]
 
 
 def of_step(problem: Problem, t: Any = None) -> PlainValues:
-    """What all ranks must give a step alike: its time, and what loads, holds and moves the body.
+    """Data that must be equal on all ranks in a step: time, loads, conditions and motions.
 
     Args:
         problem: The problem.
-        t: Time that the step goes to (s), if it goes to one.
+        t: End of the step (s), or None in problems without time.
     """
     end = getattr(t, "end", t)
     found: PlainValues = [("the number of the points' fields", len(problem.points.fields))]
@@ -60,7 +60,7 @@ def of_step(problem: Problem, t: Any = None) -> PlainValues:
 
 
 def _at_once(value: Any) -> Any:
-    """As `plain_value`, which takes as long as all the rest of a step's comparison."""
+    """Fast `plain_value` for common types, because `plain_value` would double the time."""
     kind = type(value)
     if kind is np.ndarray and value.ndim < 2:
         return value.item() if value.ndim == 0 else tuple(value.tolist())
@@ -68,7 +68,7 @@ def _at_once(value: Any) -> Any:
 
 
 def _asked(function: Any, t: Any) -> Any:
-    """What a user's function gives at a time; who calls it next tells what is wrong with it."""
+    """Result of a user's function at a time. Its next caller reports an error of the function."""
     try:
         return plain_value(function(t))
     except Exception as error:
@@ -114,7 +114,7 @@ def _space(space: Space) -> Any:
 
 @plain_value.register(MaterialPoints)
 def _points(points: MaterialPoints) -> Any:
-    # sets of points have laws in the order in which forms are made
+    # the order of forms gives the order of the laws of a set of points
     parts = {
         "number": points.total,
         "fields": list(points.symbols.fields),
@@ -172,7 +172,7 @@ def _body(body: RigidBody) -> Any:
 
 
 def _mark(mark: Any) -> Any:
-    """What a form says of a contact or a weak condition: its numbers, words, bodies, boundaries."""
+    """Data of a contact or a weak condition: its numbers, words, bodies and boundaries."""
     kinds = bool, int, float, str, tuple, type(None), RigidBody, Boundary, Surface
     kept = {name: value for name, value in vars(mark).items() if isinstance(value, kinds)}
     return plain_value({"kind": type(mark).__name__, **kept})
@@ -199,13 +199,13 @@ def _form(form: ufl.Form) -> Any:
 
 
 def _carried(fields: Iterable[Any]) -> list[tuple[str, Any]]:
-    """What fields that terms carry are set to, and those that are in what these are set to."""
+    """Expressions of carried fields, also of carried fields within these expressions."""
     parts, seen, left = [], set(), list(fields)
     while left:
         field = left.pop(0)
         if not isinstance(field, CarriedField) or id(field) in seen:
             continue
-        # often set to what it has been and something more
+        # the expression of a field often contains the field itself
         seen.add(id(field))
         parts += [
             (f"{n} of what '{field.name}' carries", what) for n, what in plain_value(field.update)
@@ -217,9 +217,9 @@ def _carried(fields: Iterable[Any]) -> list[tuple[str, Any]]:
 
 @plain_value.register(Expr)
 def _expression(expression: Expr) -> Any:
-    """Its laws, constants, fields and numbers, and how often it has which operation.
+    """Laws, constants, fields and numbers of an expression, and the count of each operation.
 
-    Not in their order: UFL sorts operands by numbers that may differ between ranks.
+    Their order does not count, because UFL sorts operands by numbers that may differ between ranks.
     """
     coefficients, constants = extract_coefficients(expression), extract_constants(expression)
     found = [getattr(c, "declaration", None) for c in (*coefficients, *constants)]
@@ -237,7 +237,7 @@ def _expression(expression: Expr) -> Any:
         if isinstance(node, ScalarValue):
             numbers.append(float(node))
         elif isinstance(node, MultiIndex):
-            # free ones have numbers of each rank
+            # numbers of free indices differ between ranks
             places += [int(index) for index in node if isinstance(index, FixedIndex)]
         operations[type(node).__name__] += 1
     parts += [("fields", plain_value(fields)), ("numbers", plain_value(sorted(numbers)))]

@@ -17,10 +17,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.argumentchecks import file_path, shown
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import (
-    FormError,
-    ParameterError,
-)
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm._platform.readonce import ReadList, ReadOnce
 from dolfinmpm.assembly.state import HasState, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
@@ -50,18 +47,20 @@ from dolfinmpm.solve.arguments import (
     increments_of,
     stabilisations_of,
 )
-from dolfinmpm.solve.axis import warn_of_free_axis
-from dolfinmpm.solve.bodyfields import check_bodies
-from dolfinmpm.solve.conflicts import check_boundaries_of
+from dolfinmpm.solve.description import summary
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.pressures import refuse_wrong_kinds
+from dolfinmpm.solve.problemchecks import (
+    check_boundary_conditions,
+    check_field_tags,
+    check_kinds_of_conditions,
+    refuse_rates,
+    warn_of_free_axis,
+)
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
-from dolfinmpm.solve.summary import summary
-from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
 from dolfinmpm.terms.referencemarkers import require_reference
 
@@ -137,12 +136,12 @@ class Problem(ReadOnce):
         whole, soft, changes = with_stabilisations(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
-        check_bodies(self.fields, self.form)
-        check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
+        check_field_tags(self.fields, self.form)
+        check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
         rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
         self.bodies = RigidBodies(rigid, points.grid)
         self.bodies.check_steps(scheme.in_time, type(self).__name__)
-        refuse_wrong_kinds(bcs, spaces, self.form.parts.carried)
+        check_kinds_of_conditions(bcs, spaces, self.form.parts.carried)
         if not scheme.inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         self._settle_markers()
@@ -160,7 +159,7 @@ class Problem(ReadOnce):
             if any(condition.value is load for load in loads):
                 raise ParameterError(
                     f"a constant is both a load of the form and the increment prescribed at "
-                    f"'{condition.where}'; a part of a step would scale it twice: use two constants"
+                    f"'{condition.where}'; a substep would scale it twice: use two constants"
                 )
         self.loads = Loads(loads, increments)
         settle(points, self.configuration)
@@ -339,9 +338,9 @@ class Problem(ReadOnce):
         """
         share = 1.0 if step is None else step.share
         if step is not None and self.here is None and not self.scheme.in_time:
-            check_timeless(self.form.given, self.points, type(self).__name__)
+            refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
-        check_bodies(self.fields, self.form)
+        check_field_tags(self.fields, self.form)
         self.form.place()
         self.held.follow()
         first, kept, self.kept = self.here is None, self.kept, None
@@ -352,7 +351,7 @@ class Problem(ReadOnce):
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
         self._set_penalties(self.here)
-        # a moving body may reach a side later
+        # a body that moves in time may reach a side later
         if first and kept is None and not self.scheme.in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
@@ -362,8 +361,8 @@ class Problem(ReadOnce):
         """Set the penalties of weak conditions. Collective."""
         self.form.set_penalties(here)
 
-    def _begin(self) -> None:
-        """Check at the start of a step that nothing else has moved rigid bodies or grid lines.
+    def _check_still_valid(self) -> None:
+        """Check that no other problem has moved rigid bodies or grid lines.
 
         Raises:
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
@@ -383,7 +382,7 @@ class Problem(ReadOnce):
         self.here = self.kept = None
 
     def _in_blocks(self, count: int) -> bool:
-        """Whether a number of unknowns is to be stored in blocks, see `Unknowns`."""
+        """Whether a number of unknowns is stored in blocks, see `Unknowns`."""
         return False
 
     @collective
@@ -395,7 +394,7 @@ class Problem(ReadOnce):
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""
         operator = self.operator()
-        operator.rest()
+        operator.move_to_zero()
         matrix = Matrix(operator.here.pattern, operator.here.unknowns)
         operator.tangent(matrix)
         return matrix.petsc

@@ -1,4 +1,4 @@
-"""What a problem is made of: stabilisations with their moduli, and updates of fields."""
+"""Preparation of a problem's form: stabilisations with moduli, and updates of fields."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def with_moduli(
 ) -> list[Stabilisation]:
     """The fields' stabilisations, with moduli of the form's laws by default. Collective.
 
-    Of several laws, and of moduli that vary, it takes the largest: too stiff a penalty costs
-    less than one that leaves the stiffest cells ill-conditioned.
+    The largest modulus of all laws and points is taken. A penalty that is too stiff costs less than
+    a penalty that leaves the stiffest cells ill-conditioned.
 
     Raises:
-        ParameterError: One needs a modulus that no law in the form has, or that is none of a
-            field that is no displacement.
+        ParameterError: A stabilisation needs a modulus, and no law in the form has one, or the
+            field is no displacement.
     """
     made = []
     for k, (stabilisation, space) in enumerate(zip(stabilisations, spaces)):
@@ -83,11 +83,11 @@ def _with_modulus(
 def with_stabilisations(
     form: ufl.Form, fields: Sequence[Field], points: MaterialPoints
 ) -> tuple[ufl.Form, ufl.Form | None, ufl.Form | None]:
-    """The form with the forces of the fields' stabilisations, and what is no force on increments.
+    """The form with the forces of the fields' stabilisations, and further terms of them.
 
     Returns:
-        The form; what the stabilisations add to the tangent only; and ghost penalties on what a
-        step changes of the velocity, of fields whose nodes are tied beside their stabilisation.
+        The form; the soft stiffness; and ghost penalties on the change of velocity in a step, for
+        fields with constraints besides their stabilisation.
     """
     soft = changes = None
     for field in fields:
@@ -98,7 +98,7 @@ def with_stabilisations(
             and stabilisation.kind == "ghost"
             and stabilisation.factor is None
         ):
-            # ties have done what the factors of splines are for
+            # constraints have the effect of the larger factors for splines already
             stabilisation = replace(stabilisation, factor=1.0)
         extra = stabilisation.force_terms(points, *trial, known)
         if field.beside is not None:
@@ -113,7 +113,7 @@ def _sum(first: ufl.Form | None, second: ufl.Form | None) -> ufl.Form | None:
 
 
 def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates | UFLStress]:
-    """Fields that a converged step sets: those of laws and terms, and those given. Collective.
+    """Fields set by a converged step: those of laws and terms, and the user's. Collective.
 
     Raises:
         FormError: An expression lacks the hoop term of axisymmetric points.
@@ -136,9 +136,9 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
 
 
 def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[UFLStress]:
-    """What terms in UFL say of the stress of points without a law; the form notes them.
+    """Stresses of points without a law, from terms in UFL. They are stored in the form.
 
-    None where the form or the user sees to the field `stress`.
+    The list is empty if the form or the user sets the field `stress`.
     """
     moving = movers(form.spaces)
     without = [r for r in form.regions if not r.ruled(form.parts.declarations)]

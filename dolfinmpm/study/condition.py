@@ -13,7 +13,8 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.stabilisations import Stabilisation
-from dolfinmpm.dynamics.mass import Mass, MassTerms
+from dolfinmpm.dynamics.mass import MassTerms
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import cell_size, mean_size
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes

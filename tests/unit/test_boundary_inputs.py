@@ -80,7 +80,7 @@ def _bad():
         ),
         "no level": (lambda: B.from_level_set(points, 3), ParameterError, "function of positions"),
         "nowhere": (
-            lambda: B.from_level_set(points, lambda x: 1 + x[0]), EmptyShapeError, "no level 0",
+            lambda: B.from_level_set(points, lambda x: 1 + x[0]), EmptyShapeError, "sign nowhere",
         ),
         "level not finite": (
             lambda: B.from_level_set(points, lambda x: np.log(x[0] - 0.5)), ParameterError,

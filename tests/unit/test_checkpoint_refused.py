@@ -178,7 +178,10 @@ def test_what_differs_from_the_problem_of_the_file_is_told(saved, tmp_path):
     moving().load(tmp_path / "in_time.npz")
     for options, words in (
         ({"friction": 0.4}, "contact 1: friction = 0.1, .* there, friction = 0.4"),
-        ({"gamma": 0.6, "beta": 0.3}, r"steps: Rule\(beta=0.25, gamma=0.5.* there, Rule\(beta=0.3"),
+        (
+            {"gamma": 0.6, "beta": 0.3},
+            r"steps: NewmarkRule\(beta=0.25, gamma=0.5.* there, NewmarkRule\(beta=0.3",
+        ),
     ):
         with pytest.warns(errors.DifferentProblemWarning, match=words):
             moving(**options).load(tmp_path / "in_time.npz")

@@ -10,14 +10,13 @@ from mpi4py import MPI
 
 from dolfinmpm.contact.contactlaw import explicit_reduction
 from dolfinmpm.contact.storedenergy import bounding_multipliers, normal_energy
-from dolfinmpm.dynamics.gains import Gains
+from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.ledger import Work
-from dolfinmpm.dynamics.reserve import Reserve
 
 
 def begun(energy, stiffness, V):
     """A reserve of so much energy at the start of a step of 2 s, with Φ(v) = stiffness v·v."""
-    reserve = Reserve()
+    reserve = PenaltyEnergy()
     reserve.energy[0] = energy
     mass = SimpleNamespace(inner=lambda v, blocks, w: stiffness * float(np.sum(v * w)))
     here = SimpleNamespace(blocks_of=lambda kind, k: [kind, k])
@@ -42,7 +41,7 @@ def test_a_reserve_of_rounding_is_none():
 
 
 def test_fields_have_reserves_of_their_own():
-    reserve, V = Reserve(), np.ones((1, 2))
+    reserve, V = PenaltyEnergy(), np.ones((1, 2))
     reserve.energy[0] = 0.5
     mass = SimpleNamespace(inner=lambda v, blocks, w: float(np.sum(v * w)))
     here = SimpleNamespace(blocks_of=lambda kind, k: [kind, k])
@@ -52,7 +51,7 @@ def test_fields_have_reserves_of_their_own():
 
 
 def test_a_step_that_makes_energy_is_parted():
-    gains, works = Gains(), [Work(internal=x) for x in (0.3, -0.2, 0.3)]
+    gains, works = EnergyGain(), [Work(internal=x) for x in (0.3, -0.2, 0.3)]
     assert "makes 0.3 J" in gains.judge(works[0], 0.0, 100.0, True)
     assert gains.made == 0.0
     # one that may not be parted counts, and one that loses is always taken

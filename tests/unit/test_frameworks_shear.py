@@ -25,7 +25,7 @@ import dolfinmpm as mpm
 from dolfinmpm.kinematics import (
     momentum,
 )
-from dolfinmpm.kinematics.frameworks import symmetric
+from dolfinmpm.kinematics.strainformulation import symmetric
 from dolfinmpm.materials.base import lame
 
 

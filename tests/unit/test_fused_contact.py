@@ -187,7 +187,7 @@ class TestWhatCannotBe:
         problem.step(0.05)
         np.testing.assert_array_equal(tool.force, 0.0)
         assert tool.position[0] == pytest.approx(9.05)
-        assert problem.unfused == ("" if fused else "it was not to be")
+        assert problem.unfused == ("" if fused else "fused=False")
 
     def test_points_within_the_body(self, fused):
         problem, tool = self.block(fused, mpm.Disc((0.5, 1.0), 0.3))

@@ -117,7 +117,7 @@ def test_a_step_is_that_on_a_grid_made_so(basis, stabilisation, fbar, kind):
     if kind is mpm.Newmark:
         other.scheme.set_state(problem.scheme.state())
         other.loads.change = problem.loads.change
-    other.loads.release()
+    other.loads.accept()
     time = (0.02,) if time else ()
     for load, one in ((g, problem), (f, other)):
         load.value[:] = 1.0, -4.0

@@ -172,10 +172,10 @@ def test_what_is_not_of_these_increments_is_not_read(monkeypatch):
     assert anew(lambda: operator.move(x)) == 0
     assert anew(lambda: tangent(operator)) == 1
     operator.residual(y)
-    operator.rest()
+    operator.move_to_zero()
     assert anew(lambda: tangent(operator)) == 1
     # constants of the form may stand in what laws are a function of
-    operator.renew_external()
+    operator.update_external()
     assert anew(lambda: tangent(operator)) == 1
     # the state may be another after the end of a step
     assert anew(operator.points.commit) == 0

@@ -10,7 +10,7 @@ from test_mappings import OF_LUMPED, block, mapped
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.dynamics import transfer
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 
 
 def one_step(mapping, **options):

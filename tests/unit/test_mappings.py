@@ -14,7 +14,7 @@ import dolfinmpm as mpm
 from dolfinmpm._platform.errors import DolfinMPMError, SingularMassWarning
 from dolfinmpm.dynamics import transfer
 from dolfinmpm.dynamics.energies import angular_momentum
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 
 OF_ANY_MASS = ("pic", "flip", "accel")
 OF_LUMPED = ("apic", "tpic", "xpic", "fmpm")

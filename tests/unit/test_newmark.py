@@ -15,7 +15,7 @@ from scenes import disc
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm.dynamics.rule import Rule
+from dolfinmpm.dynamics.newmarkrule import NewmarkRule
 
 QUADRILATERAL = mesh.CellType.quadrilateral
 RULES = [
@@ -110,7 +110,7 @@ def test_the_highest_frequencies_keep_the_share_asked_for(rho_inf):
     assert radius[-1] == pytest.approx(rho_inf, abs=2e-3 if rho_inf else 0.02)
 
 
-def oscillator(rule: Rule, stiffness, v, a, x):
+def oscillator(rule: NewmarkRule, stiffness, v, a, x):
     """A step of unit length of a mass of 1 kg on a spring, from where it is."""
     inertia = rule.factor(1.0)
     level = -(rule.known(v, a, 1.0) + stiffness * x) / (inertia + stiffness)

@@ -14,11 +14,11 @@ from dolfinmpm.materials import NeoHookean
 @pytest.mark.parametrize(
     ("why", "scene"),
     [
-        ("it was not to be", {"fused": False}),
+        ("fused=False", {"fused": False}),
         ("consistent", {"mass": "consistent", "basis": "linear"}),
         ("filters", {"mapping": "xpic"}),
-        ("varies", {"law": NeoHookean(E=lambda x: 1e5 + x[0], nu=0.3)}),
-        ("what moves", {"load": lambda points, g: g * points.V}),
+        ("vary", {"law": NeoHookean(E=lambda x: 1e5 + x[0], nu=0.3)}),
+        ("a step changes", {"load": lambda points, g: g * points.V}),
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
@@ -39,4 +39,4 @@ def test_functions_at_first_positions_are_not_fused():
     points = mpm.fill(grid, mpm.Disc((0, 0), 0.5), 2, 1.0)
     V = mpm.Space(grid, "gimp", configuration="total")
     F = mpm.momentum(HENCKY, points, V.increment, V.test)
-    assert "first positions" in mpm.Explicit(F, V.increment, points).unfused
+    assert "total Lagrangian" in mpm.Explicit(F, V.increment, points).unfused

@@ -1,4 +1,4 @@
-"""First guess of the increments of bodies that a tool moves: those of the last step."""
+"""First guess of the increments in contact with rigid bodies: those of the last step."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import numpy.typing as npt
 from dolfinmpm.grid.partition import Partition
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["Guess"]
+__all__ = ["InitialGuess"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Guess:
-    """Increments that were found last, as a first guess of those that are looked for next.
+class InitialGuess:
+    """The increments of the last step, as a first guess of the next increments.
 
-    What flows past a tool flows much alike from step to step, and the grid is reset, or goes with
-    the tool: the nodes' last increments touch the tool where it is by then, and find the points
-    that yield yielding, where a step from rest first finds all of them elastic. Nodes that were not
-    active are at rest.
+    Material flows past a rigid body in much the same way from step to step. With the last
+    increments, the points touch the body at its new place, and points that yield are found to
+    yield. From zero increments, all points are elastic at first. The guess is zero at nodes that
+    were not active.
 
     Attributes:
-        length: Length of the step that is taken, as its time or load measures it.
+        length: Length of the present step, in time or load.
     """
 
     def __init__(self) -> None:
         self.length = 1.0
-        # each field's owned nodes, and what they did in a step of the length 1
+        # per field: owned nodes, and their increments in a step of length 1
         self._parts: list[tuple[npt.NDArray[np.int32], Array]] = []
-        # which rank owns the nodes
+        # ranks of the nodes
         self._partition: Partition | None = None
 
     def keep(self, operator: Operator) -> None:
-        """Take the increments that an operator has been moved to."""
+        """Keep the present increments of an operator."""
         here = operator.here
         self._parts, self._partition = [], operator.form.points.partition
         for field, own, u, scale in zip(
@@ -43,13 +43,13 @@ class Guess:
         ):
             nodes, values = own.nodes, u
             if field.C is not None:
-                # nodes that are tied now may be free next
+                # nodes that are constrained now may be free in the next step
                 nodes, values = field.active, np.asarray(field.C @ u)
             nodes = nodes[: np.searchsorted(nodes, own.numbering.owned)]
             self._parts.append((nodes, np.asarray(values[nodes] / scale, np.float64)))
 
     def on(self, operator: Operator) -> Array | None:
-        """The guess, or None if there is nothing to guess from. Collective.
+        """The guess, or None if no increments are known. Collective.
 
         Returns:
             The owned unknowns, shape (owned,).
@@ -62,22 +62,22 @@ class Guess:
         return operator.here.unknowns.restrict(nodal.arrays)
 
     def _scales(self, operator: Operator) -> list[float]:
-        """By what increments of each field grow with the step; what the form carries are none."""
+        """Factor of each field's increments: the step's length, or 1 for carried values."""
         return [self.length if name is None else 1.0 for name in operator.form.values]
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
-        """What it keeps on this rank."""
+        """The kept increments of this rank, by name."""
         kept: dict[str, npt.NDArray[Any]] = {}
         for k, (nodes, values) in enumerate(self._parts):
             kept |= {f"guess {k} nodes": nodes, f"guess {k}": values}
         return kept
 
     def set_state(self, local: dict[str, npt.NDArray[Any]], partition: Partition | None) -> None:
-        """Take what `state` returned, or nothing.
+        """Restore a state returned by `state`, also an empty one.
 
         Args:
             local: Arrays of this rank.
-            partition: Which rank owns the nodes, as the points have it.
+            partition: Partition of the points, which says the ranks of the nodes.
         """
         self._parts, self._partition = [], partition
         for k in range(sum(name.endswith(" nodes") for name in local if name.startswith("guess"))):

@@ -1,8 +1,9 @@
-"""The new state of the points, computed first, then written by one writer."""
+"""The state of the points at the end of a step: `new_state` computes it, `commit` writes it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
-from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
@@ -20,46 +19,47 @@ from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.grid.tensors import products
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["NewState", "advance", "commit"]
+if TYPE_CHECKING:
+    from dolfinmpm.solve.problem import Problem
+
+__all__ = ["NewState", "commit", "new_state"]
 
 Array = npt.NDArray[np.float64]
 
 
 @stages.commit
-def advance(
+def new_state(
+    problem: Problem,
     operator: Operator,
-    updates: Sequence[PointUpdates | UFLStress],
-    moves: bool,
-    cell_size: float,
-    step: int,
+    *,
     x: Array | None = None,
-    kept: Mapping[str, Array] | None = None,
+    carried: Mapping[str, Array] | None = None,
+    stays: bool = False,
 ) -> NewState | str:
-    """The new state that goes with the increments an operator was moved to. Collective.
+    """The new state for the present increments of the equations. Collective.
 
-    Nothing is changed.
+    The function changes no point.
 
     Args:
-        operator: The operator.
-        updates: Fields that are set to UFL expressions.
-        moves: Whether the first field is a displacement.
-        cell_size: Largest size of a cell (m).
-        step: Number of the step, for messages.
+        problem: The problem.
+        operator: The equations.
         x: New positions (m), shape (n, d), if they do not follow from the increment.
-        kept: Fields that the form carries, where they are not to be found from the increments that
-            the operator was moved to.
+        carried: Values of fields that the form carries, if they do not follow from the present
+            increments.
+        stays: Whether points strain, but do not move.
 
     Returns:
-        The state, or why there is none.
+        The state, or the reason of a failure.
 
     Raises:
-        PointsOutsideGridError: Points would leave the grid, by no more than a cell.
+        PointsOutsideGridError: Points would leave the grid, by at most one cell.
     """
-    points, comm = operator.form.points, operator.form.points.comm
-    evaluation = operator.points
+    points, comm, moves = problem.points, problem.comm, problem.moves and not stays
+    evaluation, number = operator.points, len(problem.history) + 1
     moduli = evaluation.moduli() if operator.form.moduli else None
     new = evaluation.commit()
     if moduli is not None:
@@ -67,10 +67,10 @@ def advance(
     for declaration in operator.form.parts.declarations:
         marks = new.setdefault("moved_under", points["moved_under"].copy())
         marks[declaration.rows] = declaration.mark
-    for update in updates:
-        if not (kept and update.carried):
+    for update in problem.form.updates:
+        if not (carried and update.carried):
             update.run(evaluation, new)
-    new.update(kept or {})
+    new.update(carried or {})
     reason = _out_of_bounds(points, operator.form.parts.carried, new)
     if reason is not None:
         return reason
@@ -78,7 +78,7 @@ def advance(
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
     if moves:
         bad = _move(operator, new, x)
-    operator.touch()
+    operator.update_contact()
     for term in operator.terms:
         term.update(state)
     finite = all(np.isfinite(values).all() for values in new.values())
@@ -95,13 +95,13 @@ def advance(
     if not operator.here.total:
         state.to = destinations(points.grid, new["x"], points["cell"], points.partition)
         lost = np.flatnonzero(state.to.rank < 0)
-        far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > cell_size)
+        far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > largest_cell(points.grid))
         if comm.allreduce(bool(far), op=MPI.LOR):
-            # Newton may find a state of equilibrium on the far side of a singular one
+            # Newton's method may find an equilibrium beyond a singular state
             return "material points would be thrown out of the grid, further than a cell"
-        raise_together(comm, _outside(points, new["x"], lost, step))
+        raise_together(comm, _outside(points, new["x"], lost, number))
     for term in operator.terms:
-        term.follow(state, step)
+        term.follow(state, number)
     return state
 
 
@@ -110,7 +110,7 @@ def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDA
 
     Args:
         operator: The operator.
-        new: New values by field, which are added to.
+        new: New values by name of the field; the function adds the moved fields.
         x: New positions (m), shape (n, d), if they do not follow from the increment.
 
     Returns:
@@ -132,7 +132,7 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     """Write a new state, and move the points to the ranks of their cells. Collective.
 
     Returns:
-        How many points changed rank.
+        Number of points that changed rank.
     """
     for name, values in state.fields.items():
         points.fields[name][...] = values
@@ -145,7 +145,7 @@ def commit(points: MaterialPoints, state: NewState) -> int:
 
 
 def _domains(operator: Operator, F: Array) -> Array:
-    """Half-lengths of the points' domains (m), each as its field's rule says."""
+    """Half-lengths of the points' domains (m), by the rule of each point's field."""
     points, here = operator.form.points, operator.here
     new = points["l"].copy()
     for field in (here.fields[k] for k in here.movers):
@@ -162,7 +162,7 @@ def _domains(operator: Operator, F: Array) -> Array:
 def _out_of_bounds(
     points: MaterialPoints, carried: Sequence[PointField], new: dict[str, Array]
 ) -> str | None:
-    """Why what points carry is not possible, or None. Collective."""
+    """The first carried field outside its bounds, for a message, or None. Collective."""
     found = None
     for field in carried:
         if isinstance(field, CarriedField) and field.bounds is not None:
@@ -182,6 +182,7 @@ def _out_of_bounds(
 
 
 def _outside(points: MaterialPoints, x: Array, lost, step: int) -> PointsOutsideGridError | None:
+    """The error about points that would leave the grid, or None."""
     if lost.size == 0:
         return None
     p = lost[0]

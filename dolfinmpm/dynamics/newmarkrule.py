@@ -7,20 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Rule"]
+__all__ = ["NewmarkRule"]
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Rule:
+class NewmarkRule:
     """Parameters of a rule of Newmark's family, with α_m = α_f = 0 Newmark's own.
 
     Attributes:
         beta, gamma, alpha_m, alpha_f: See `dolfinmpm.dynamics.newmark`.
-        by_forces: Whether each step begins with the accelerations that the forces give, M a = f.
-            Else these are means of those that the points have from the last step, which have lost
-            what does not vary smoothly, and energy with it.
+        by_forces: Whether accelerations at the start of each step follow from the forces, M a = f.
+            Else they are mapped from the points. The mapping smooths them, and so loses energy.
     """
 
     beta: float
@@ -37,24 +36,26 @@ class Rule:
         """v' at the nodes (m/s)."""
         return V + dt * ((1 - self.gamma) * A + self.gamma * A_end)
 
-    def pushed(self, V_end: Array, A_end: Array, push: Array, dt: float) -> tuple[Array, Array]:
-        """v' and a' where contact has pushed besides, by its mean accelerations (m/s²).
+    def with_contact(
+        self, V_end: Array, A_end: Array, push: Array, dt: float
+    ) -> tuple[Array, Array]:
+        """v' (m/s) and a' (m/s²) with the mean accelerations by contact.
 
-        Its impulse is that of the whole step, and accelerations go on without it.
+        The impulse of contact is that of the whole step. The new accelerations do not contain it.
 
         Args:
-            V_end, A_end: Those that `velocity` and `acceleration` give of the increment.
-            push: M⁻¹ times the mean forces.
+            V_end, A_end: Results of `velocity` and `acceleration`.
+            push: M⁻¹ times the mean forces of contact (m/s²).
             dt: Length of the step (s).
         """
         V_end = V_end + dt * (1.0 - 0.5 * self.gamma / self.beta) * push
         return V_end, A_end - 0.5 / self.beta * push
 
     def known(self, V: Array, A: Array, dt: float) -> Array:
-        """What of the accelerations at the level of balance does not depend on the increment."""
+        """Part of the accelerations at the level of balance without the increment (m/s²)."""
         start = V / (self.beta * dt) + (0.5 / self.beta - 1.0) * A
         return self.alpha_m * A - (1 - self.alpha_m) * start
 
     def factor(self, dt: float) -> float:
-        """Its derivative by the increment at that level (1/s²)."""
+        """Derivative of these accelerations by the increment at this level (1/s²)."""
         return (1 - self.alpha_m) / (self.beta * dt**2 * (1 - self.alpha_f))

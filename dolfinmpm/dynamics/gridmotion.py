@@ -1,4 +1,4 @@
-"""The motion of the nodes in a step in time, from the points and back to them."""
+"""Motion of the grid's nodes in implicit steps in time: from the points, and back to them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.gains import Gains
 from dolfinmpm.dynamics.inertiaterm import Dashpots
 from dolfinmpm.dynamics.ledger import Ledger, Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
-from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
-from dolfinmpm.dynamics.reserve import Reserve
-from dolfinmpm.dynamics.rule import Rule
+from dolfinmpm.dynamics.mass import MassTerms, point_masses
+from dolfinmpm.dynamics.newmarkrule import NewmarkRule
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.stepwork import (
     MovingNodes,
-    count,
-    pressed,
+    add_work_of_nodes,
+    mean_contact_forces,
     work_of_contact,
     work_of_loads,
 )
@@ -35,27 +35,27 @@ from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Motion"]
+__all__ = ["GridMotion"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Motion:
-    """What moves, and how it moved last.
+class GridMotion:
+    """Motion of the nodes in the present step, and its transfer from and to the points.
 
     Args:
         points: Material points.
         rule: The rule of the steps.
         mapping: The velocity mapping.
-        terms: What the mass is made of.
+        terms: The terms of the mass.
         sides: Faces of the grid that act on the body.
-        ledger: Where energy comes from and goes to; steps add to its sums.
+        ledger: The account of energies; steps add to its sums.
 
     Attributes:
         rule, mapping, terms, ledger: The arguments.
-        reserve: What penalties on changes of velocity may give back.
-        nodes: What moved in the last step: the nodes of each field that moves points.
-        varying: Whether any load changes in the step asked for.
+        penalty_energy: Energy taken by penalties on changes of velocity.
+        nodes: Nodes of each field that moves points, at the start of the last step.
+        varying: Whether any load changes in the present step.
     """
 
     nodes: list[MovingNodes]
@@ -63,7 +63,7 @@ class Motion:
     def __init__(
         self,
         points: MaterialPoints,
-        rule: Rule,
+        rule: NewmarkRule,
         mapping: Mapping,
         terms: MassTerms,
         sides: Sides,
@@ -71,17 +71,22 @@ class Motion:
     ):
         self.rule, self.mapping, self.terms = rule, mapping, terms
         self._points, self._sides, self.varying = points, sides, False
-        self.ledger, self.reserve, self._gains = ledger, Reserve(), Gains()
-        # whether the next step begins with M a = f
+        self.ledger, self.penalty_energy, self._gain = ledger, PenaltyEnergy(), EnergyGain()
+        # whether the accelerations at the start of the next step follow from M a = f
         self._starting = True
 
     def begin(self, jumped: bool, varying: bool) -> None:
-        """Begin a step at whose start a load jumps, or in which any changes."""
+        """Begin a step.
+
+        Args:
+            jumped: Whether a load jumps at the start of the step.
+            varying: Whether any load changes in the step.
+        """
         self.varying = varying
         self._starting |= jumped
 
     def regrid(self) -> None:
-        """Forget what belongs to where the grid's lines were; see `regrid`."""
+        """Discard data that depend on the old grid lines; see `regrid`."""
         self._sides.regrid()
 
     @stages.assemble
@@ -89,15 +94,15 @@ class Motion:
         """Velocities and accelerations of the nodes at the start of a step. Collective.
 
         Args:
-            here: What is active.
+            here: The activation.
             form: The weak form, for M a = f.
             dt: Length of the step (s).
-            rates: Velocities of held components (m/s), (nodes, d) for each field.
+            rates: Velocities of prescribed components (m/s), shape (nodes, d) per field.
         """
         start = None
         if self._starting or self.rule.by_forces:
             plain = Operator(form, here)
-            plain.start()
+            plain.move_to_start()
             start = plain.forces(without=("contact",))
         self.nodes = [
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
@@ -105,18 +110,26 @@ class Motion:
         ]
         if here.blocks_of("changes"):
             moving = [(one.k, one.mass, one.V) for one in self.nodes]
-            self.reserve.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
+            self.penalty_energy.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
 
     @property
     def _ghost_share(self) -> float:
-        """Share of forces at the level of balance in a step's mean forces.
+        """Share of the forces at the level of balance in a step's mean forces.
 
-        Where steps begin with accelerations of their own it is γ.
+        It is γ if accelerations at the start of a step follow from forces.
         """
         return self.rule.gamma if self.rule.by_forces else 1.0
 
     def _on_nodes(self, here: Activation, k: int, rates: Array, start: Array | None) -> MovingNodes:
-        """Those of one field; `start` is what is out of balance (N) if it begins. Collective."""
+        """Motion of the nodes of one field at the start of a step. Collective.
+
+        Args:
+            here: The activation.
+            k: Number of the field.
+            rates: Velocities of prescribed components (m/s), shape (nodes, d).
+            start: Out-of-balance force (N), shape (nodes, d), if accelerations follow from forces;
+                else None.
+        """
         points, field = self._points, here.fields[k]
         mass = Mass(self.terms, here, k=k)
         momenta = mass.nodal()
@@ -139,7 +152,7 @@ class Motion:
         return MovingNodes(k, field.space.tags, mass, given, V, A)
 
     def dashpots(self, here: Activation, dt: float) -> Dashpots | None:
-        """Dashpots of absorbing faces at the level where forces balance, or None. Collective."""
+        """Dashpots of absorbing faces at the level of balance, or None. Collective."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is None or faces.dashpots is None:
             return None
@@ -154,11 +167,11 @@ class Motion:
 
     @stages.commit
     def ends(self, operator: Operator, dt: float) -> list[NodalMotion]:
-        """How the nodes have moved at the end of a step of that length (s). Collective.
+        """Motion of the nodes at the end of a step, per field. Collective.
 
         Args:
-            operator: The step's equations, moved to the end of the step.
-            dt: Its length (s).
+            operator: The step's equations, with the increments at the end of the step.
+            dt: Length of the step (s).
         """
         rule, motions = self.rule, []
         for one in self.nodes:
@@ -168,7 +181,7 @@ class Motion:
             push = None
             if operator.has("contact"):
                 push = self._push(one, operator)
-                V_end, A_end = rule.pushed(V_end, A_end, push, dt)
+                V_end, A_end = rule.with_contact(V_end, A_end, push, dt)
             motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
         return motions
 
@@ -181,23 +194,23 @@ class Motion:
         dt: float,
         x: Array,
         scale: float,
-        parts: bool,
+        may_halve: bool,
     ) -> str | None:
         """Add the points' new motion to a new state. Collective.
 
-        The loads are those in the middle of the step, for their work.
+        Loads must have their values in the middle of the step, for their work.
 
         Args:
-            operator: The step's equations, moved to the end of the step.
-            state: The new state, which is added to.
-            motions: See `ends`.
+            operator: The step's equations, with the increments at the end of the step.
+            state: The new state; the new motion is added to it.
+            motions: Result of `ends`.
             dt: Length of the step (s).
-            x: Unknowns at the level where forces balance, shape (owned,).
-            scale: What they are multiplied by at the end.
-            parts: Whether a step that makes energy may be parted.
+            x: Unknowns at the level of balance, shape (owned,).
+            scale: Increments at the end over increments at the level of balance.
+            may_halve: Whether a step that makes energy may be halved.
 
         Returns:
-            Why the step is not to be taken, or None.
+            The reason to halve the step, or None.
         """
         points = self._points
         found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
@@ -206,19 +219,21 @@ class Motion:
         stored: dict[int, float] = {}
         work.add_stresses(points, state.fields, operator)
         for one, motion in moved:
-            share, expected = self._ghost_share / scale, self.reserve.share[one.k] * dt * one.V
-            faces = self._sides.on(operator.here.fields[one.k].basis)
-            stored[one.k] = count(work, one, motion, operator, share, expected, faces)
-        # with a lumped mass the mapping makes and takes more than the rule of the steps
-        if operator.has("contact") and self.terms.kind == "consistent":
-            reason = self._gains.judge(
-                work, work_of_contact(operator, self.nodes), self.ledger.whole, parts
+            share, expected = (
+                self._ghost_share / scale,
+                self.penalty_energy.share[one.k] * dt * one.V,
             )
+            faces = self._sides.on(operator.here.fields[one.k].basis)
+            stored[one.k] = add_work_of_nodes(work, one, motion, operator, share, expected, faces)
+        # with a lumped mass, the mapping changes energy more than the rule does
+        if operator.has("contact") and self.terms.kind == "consistent":
+            contact = work_of_contact(operator, self.nodes)
+            reason = self._gain.judge(work, contact, self.ledger.whole, may_halve)
             if reason is not None:
                 return reason
         self.ledger.work.add(work)
         for k, taken in stored.items():
-            self.reserve.energy[k] += taken
+            self.penalty_energy.energy[k] += taken
         new = found[0]
         for one, own in zip(self.nodes[1:], found[1:]):
             rows = rows_within(points, one.tags)
@@ -229,15 +244,15 @@ class Motion:
         return None
 
     def _push(self, one: MovingNodes, operator: Operator) -> Array:
-        """Accelerations of the nodes of a field by mean forces of contact (m/s²). Collective."""
+        """Mean accelerations of the nodes of a field by contact (m/s²). Collective."""
         forces = one.mass.nodal()
-        forces.arrays[0][:] = pressed(operator)[one.k]
+        forces.arrays[0][:] = mean_contact_forces(operator)[one.k]
         return one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
 
     def _from_nodes(
         self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
     ) -> dict[str, Array]:
-        """The new motion of the points of a field; that of others means nothing. Collective."""
+        """New motion of the points of a field. Rows of other points have no meaning. Collective."""
         points, field = self._points, operator.here.fields[one.k]
         s, x_node = field.stencils, field.basis.node_coordinates()
         if self._starting and self.mapping.kind == "accel":
@@ -253,7 +268,7 @@ class Motion:
         )
 
     def errors(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> Array:
-        """Error |β − 1/6| Δt² |a' − a| of a step's displacement, and this (m). Collective.
+        """Error |β − 1/6| Δt² |a' − a| of a step's displacement, and its size (m). Collective.
 
         Zienkiewicz & Xie 1991, doi 10.1002/eqe.4290200907.
         """
@@ -268,16 +283,16 @@ class Motion:
         return both
 
     def state(self) -> dict[str, Any]:
-        """What it keeps from step to step."""
+        """Its state from step to step."""
         return {
             "starting": int(self._starting),
-            "reserve": sorted(self.reserve.energy.items()),
-            "gained": self._gains.made,
+            "reserve": sorted(self.penalty_energy.energy.items()),
+            "gained": self._gain.made,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take what `state` returned."""
+        """Restore a state returned by `state`."""
         self._starting = bool(state["starting"])
-        self.reserve.energy.clear()
-        self.reserve.energy.update({int(k): energy for k, energy in state["reserve"]})
-        self._gains.made = state["gained"]
+        self.penalty_energy.energy.clear()
+        self.penalty_energy.energy.update({int(k): energy for k, energy in state["reserve"]})
+        self._gain.made = state["gained"]

@@ -1,4 +1,4 @@
-"""Explicit steps of bodies that collide, each with velocities of its own at the nodes."""
+"""Explicit steps of colliding bodies. Each body has its own velocities at the nodes."""
 
 from __future__ import annotations
 
@@ -16,34 +16,33 @@ from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, Touching
+from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, NodalContact
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
-from dolfinmpm.dynamics.halfstep import lateness, taken
+from dolfinmpm.dynamics.halfstep import lateness, mapping_loss
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
-from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.method import only_momentum
+from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
 
-__all__ = ["Colliding", "why_it_does_not_collide"]
+__all__ = ["CollisionSteps", "collision_error"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
 
-# Pushes by mapped velocities in a step: with 5 coarse bodies make up to 12 % of their energy
+# Passes by mapped velocities per step; with 5 passes, coarse bodies gain up to 12 % of their energy
 _PASSES = 20
 
 
-def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> Exception | None:
-    """What is wrong with a problem whose bodies are to collide, or None."""
+def collision_error(problem: Problem, mass: str, settings: Settings) -> Exception | None:
+    """The error about a problem that `Collision` does not support, or None."""
     field, parts = problem.fields[0], problem.form.parts
     if not isinstance(field.space.basis, LatticeBasis):
         return ParameterError("Collision asks for room at the nodes; take a rectangular grid")
@@ -63,8 +62,8 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
         return FormError("Collision goes neither with rigid bodies nor with F-bar; leave these out")
     if problem.form.boundaries:
         return FormError(
-            f"the form has terms over {problem.form.boundaries[0].boundary}, which Collision has "
-            "no field of velocities for; leave it or collision out"
+            f"the form has terms over {problem.form.boundaries[0].boundary}, and Collision has "
+            "no single field of velocities there; leave out these terms or collision"
         )
     if not only_momentum(problem.form):
         return FormError(
@@ -78,37 +77,25 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     return None
 
 
-class Colliding(ExplicitBase):
-    """Explicit steps of a problem whose bodies collide, one after the other.
+class CollisionSteps(ExplicitBase):
+    """Explicit steps of a problem with colliding bodies, one after the other.
 
     Args:
-        problem: The problem.
-        held: Its essential conditions.
-        updates: Fields of the points that a step sets to UFL expressions.
-        settings: How steps are taken.
-        sides: Faces of the grid that act on the bodies.
-        collision: Which bodies touch, and how.
+        problem, settings, sides: See `ExplicitBase`.
+        collision: The bodies, and their friction.
 
     Attributes:
-        force: What the others did to the first body in the last step (N), shape (d,).
+        force: Mean force of the other bodies on the first body in the last step (N), shape (d,).
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        held: EssentialConditions,
-        updates: Sequence,
-        settings: Settings,
-        sides: Sides,
-        collision: Collision,
-    ):
-        super().__init__(problem, held, updates, settings, sides, "bodies collide")
+    def __init__(self, problem: Problem, settings: Settings, sides: Sides, collision: Collision):
+        super().__init__(problem, settings, sides, "bodies collide")
         self._collision, self._loads = collision, FusedLoads(problem.form)
         self.force: Array = np.zeros(problem.points.gdim)
 
     @stages.commit
     def _take(self, step: Step, kick: float) -> int | str:
-        """One step; how many points changed rank, or why there is no state. Collective."""
+        """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
         raise_together(points.comm, points.fault())
@@ -121,42 +108,44 @@ class Colliding(ExplicitBase):
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         bodies = [self._at_nodes(s, here) for s in stencils]
         before = self._velocities(stencils, bodies, here, held, points["velocity"])
-        after = [self._driven(s, b, V, here, kick) for s, b, V in zip(stencils, bodies, before)]
+        after = [
+            self._accelerated(s, b, V, here, kick) for s, b, V in zip(stencils, bodies, before)
+        ]
         self._absorb(bodies, after, here, kick)
         external = self._hold(bodies, after, here, held)
         touching = self._touching(bodies, here)
-        touching.push(after)
+        touching.exchange(after)
         external += self._hold(bodies, after, here, held)
         new = self._points(stencils, rows, before, after, kick)
         strains = after
         if settings.scheme == "musl":
             strains = self._velocities(stencils, bodies, here, held, new["velocity"])
             if points.comm.allreduce(touching.nodes.any(), op=MPI.LOR):
-                self._push_mapped(touching, stencils, bodies, here, after, strains)
+                self._exchange_mapped(touching, stencils, bodies, here, after, strains)
                 external += self._hold(bodies, after, here, held)
                 new = self._points(stencils, rows, before, after, kick)
                 strains = self._velocities(stencils, bodies, here, held, new["velocity"])
         operator = Operator(problem.form, here)
         self._place(operator, rows, [dt * V for V in strains])
         moved = points["x"] + operator.points.value[0]
-        state = self._advanced(operator, True, moved)
+        state = new_state(problem, operator, x=moved)
         if isinstance(state, str):
             return state
         external = points.comm.allreduce(external, op=MPI.SUM) + self._load_work(moved)
         self._work.external += external
         self._work.add_stresses(points, state.fields, operator)
         state.fields.update(new)
-        got = touching.got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
+        received = touching.received[here.unknowns.fields[0].owned_nodes].sum(axis=0)
         change, m = kick * new["acceleration"], settings.scaling * point_masses(points)
         filtered = settings.scheme == "musl"
-        own = taken(points["velocity"], change, new["velocity"], m, filtered)
+        own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         self._work.projected += points.comm.allreduce(own, op=MPI.SUM)
         self._work.late = lateness(external, self._work.latest, 0.0, False)
-        self.force = points.comm.allreduce(got, op=MPI.SUM) / kick
+        self.force = points.comm.allreduce(received, op=MPI.SUM) / kick
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
-        """What is wrong with points that belong to no body, or None."""
+        """The error about points that belong to no body, or None."""
         tags = self._problem.points["tag"]
         stray = np.flatnonzero(~np.any(rows, axis=0)) if len(tags) else np.empty(0, np.intp)
         if not stray.size:
@@ -167,7 +156,13 @@ class Colliding(ExplicitBase):
         )
 
     def _summed(self, here: Activation, components: int, add: Callable[[Array], None]) -> Array:
-        """Sums at the nodes, on all ranks that know them, shape (nodes, components). Collective."""
+        """Sums at the nodes, on all ranks with the nodes, shape (nodes, components). Collective.
+
+        Args:
+            here: The activation.
+            components: Number of components.
+            add: Function that adds this rank's part.
+        """
         sums = Nodal([here.fields[0].basis.nodes], [components])
         add(sums.arrays[0])
         sums.add_up()
@@ -185,34 +180,34 @@ class Colliding(ExplicitBase):
         slope = self._summed(here, d, lambda out: scatter_stress(s, weights, out))
         return BodyAtNodes(self._settings.scaling * sums[:, 0], sums[:, 1], slope)
 
-    def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> Touching:
-        """Where bodies touch, by what their nodes' functions have room for."""
+    def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> NodalContact:
+        """The nodes at which bodies touch."""
         basis, room = here.fields[0].basis, None
         if self._collision.gap_test:
             assert isinstance(basis, LatticeBasis)
             room = np.ones(basis.nodes.size)
             for k, line in enumerate(basis.lattice.lines):
                 room *= integrals(line, basis.degree)[basis.halo.node_ijk[:, k]]
-        return Touching(bodies, room, self._collision.friction)
+        return NodalContact(bodies, room, self._collision.friction)
 
     @stages.assemble
-    def _push_mapped(
+    def _exchange_mapped(
         self,
-        touching: Touching,
+        touching: NodalContact,
         stencils: Sequence[Stencils],
         bodies: Sequence[BodyAtNodes],
         here: Activation,
         after: Sequence[Array],
         mapped: Sequence[Array],
     ) -> None:
-        """Push until velocities that points map to the nodes come no nearer. Collective.
+        """Exchange momentum until mapped velocities of bodies do not approach. Collective.
 
         Args:
-            touching: Where bodies touch, and what they have exchanged so far.
-            stencils, bodies: Of the bodies.
-            here: The step's unknowns.
-            after: Velocities at the end of the step (m/s), shape (nodes, d) each; changed.
-            mapped: Those that the points would map back, likewise.
+            touching: Nodes at which bodies touch, and the momentum exchanged so far.
+            stencils, bodies: Stencils and nodal sums of each body.
+            here: The activation.
+            after: Velocities at the end of the step (m/s), shape (nodes, d) per body; changed.
+            mapped: Velocities mapped from the points (m/s), shape (nodes, d) per body; changed.
         """
         points, fixed = self._problem.points, here.unknowns.fields[0].fixed
         m = self._settings.scaling * point_masses(points)
@@ -220,7 +215,7 @@ class Colliding(ExplicitBase):
         near = [selected(s, collect(s, at, len(points))[:, 0] > 0.0) for s in stencils]
         for k in range(_PASSES):
             ahead = k / (k + 3.0) if k < _PASSES - 1 else 0.0
-            changes = touching.push([V.copy() for V in mapped], ahead)
+            changes = touching.exchange([V.copy() for V in mapped], ahead)
             for s, body, V, V_mapped, change in zip(near, bodies, after, mapped, changes):
                 V += change
                 change[fixed] = 0.0
@@ -236,10 +231,10 @@ class Colliding(ExplicitBase):
         here: Activation,
         held: Array,
     ) -> float:
-        """Give held components their velocities, and let sides of the grid rub.
+        """Set velocities of prescribed components, and apply friction at sides of the grid.
 
         Returns:
-            Work that it takes to move held nodes of this rank (J).
+            Work of the prescribed motions at nodes of this rank (J).
         """  # fmt: skip
         faces, unknowns = self._sides.on(here.fields[0].basis), here.unknowns.fields[0]
         fixed, moving = unknowns.fixed, np.zeros_like(unknowns.fixed)
@@ -262,7 +257,7 @@ class Colliding(ExplicitBase):
         here: Activation,
         dt: float,
     ) -> None:
-        """Slow nodes at dashpots, which bodies at one node share by their mass."""
+        """Apply dashpots. Bodies at one node share a dashpot in proportion to their masses."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is None or faces.dashpots is None:
             return
@@ -280,7 +275,7 @@ class Colliding(ExplicitBase):
         held: Array,
         v: Array,
     ) -> list[Array]:
-        """Velocities of each body's nodes from those of its points (m/s). Collective."""
+        """Nodal velocities of each body from the velocities of its points (m/s). Collective."""
         m = self._settings.scaling * point_masses(self._problem.points)
         found = []
         for s, body in zip(stencils, bodies):
@@ -290,10 +285,10 @@ class Colliding(ExplicitBase):
         return found
 
     @stages.assemble
-    def _driven(
+    def _accelerated(
         self, s: Stencils, body: BodyAtNodes, V: Array, here: Activation, dt: float
     ) -> Array:
-        """Velocities of a body's nodes after a step in which nothing holds it. Collective."""
+        """Nodal velocities of a body after a step without conditions or contact. Collective."""
         points, loads = self._problem.points, self._loads
         weight = stress_volumes(points, self._problem.form.parts.declarations, points["V"])
 
@@ -331,11 +326,11 @@ class Colliding(ExplicitBase):
 
     @staticmethod
     def _place(operator: Operator, rows: Sequence[Rows], increments: Sequence[Array]) -> None:
-        """Evaluate at each point the increments of its own body."""
+        """Evaluate the increments of its own body at each point."""
         value, gradient = operator.points.value[0], operator.points.gradient[0]
         found = np.zeros_like(value), np.zeros_like(gradient)
         for own, u in zip(rows, increments):
-            operator.place([u])
+            operator.set_increments([u])
             found[0][own], found[1][own] = value[own], gradient[own]
         value[:], gradient[:] = found
 

@@ -1,4 +1,4 @@
-"""Bodies at rest: stresses in balance with the loads before any motion."""
+"""Initial balance: stresses in balance with the loads before any motion."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
     if out > tolerance:
         penalties = _Penalties(problem)
         if penalties:
-            out = _with_help(problem, penalties, tolerance, most)
+            out = _steps_with_soft_penalties(problem, penalties, tolerance, most)
         else:
             out = _steps(problem, tolerance, most)
     if out <= tolerance:
@@ -117,14 +117,16 @@ def _steps(problem: QuasiStatic, tolerance: float, most: int) -> float:
         if out <= tolerance:
             break
         problem.step()
-        _put_back(problem)
+        _undo_deformation(problem)
         out = _out_of_balance(problem)
     return out
 
 
-def _with_help(problem: QuasiStatic, penalties: _Penalties, tolerance: float, most: int) -> float:
+def _steps_with_soft_penalties(
+    problem: QuasiStatic, penalties: _Penalties, tolerance: float, most: int
+) -> float:
     """As `_steps`, with penalties in the matrix only, not in the forces. Collective."""
-    with penalties.only_helping():
+    with penalties.soft():
         halvings, problem.max_halvings = problem.max_halvings, 0
         try:
             out = _steps(problem, tolerance, most)
@@ -134,17 +136,18 @@ def _with_help(problem: QuasiStatic, penalties: _Penalties, tolerance: float, mo
             problem.max_halvings = halvings
     if out <= tolerance:
         return out
-    with penalties.only_helping(tied=True):
+    with penalties.soft(tied=True):
         return _steps(problem, tolerance, most)
 
 
 def _out_of_balance(problem: QuasiStatic) -> float:
+    """Relative out-of-balance force in the present state. Collective."""
     operator = problem.operator()
     found = operator.residual(np.zeros(operator.here.unknowns.owned))
     return found.norm / found.reference if found.reference > 0 else 0.0
 
 
-class _Helped(Static):
+class _ChangedActivation(Static):
     """Static steps on a changed activation.
 
     Args:
@@ -187,7 +190,7 @@ class _Penalties:
             field.stabilisation.kind == "weak-aggregation" and moved
             for field, moved in zip(self._problem.fields, self._moved)
         )
-        # a term that is not linear in the increments is no penalty
+        # a penalty is linear in the increments
         linear = self._problem.form.parts.grid.linear
         return linear and any(self._moved) and (distances or self._jumps is not None)
 
@@ -199,8 +202,8 @@ class _Penalties:
             found += self._jumps.tangent(here.fields)
         return [b for b in found if self._moved[b.row_field] and self._moved[b.column_field]]
 
-    def _left_out(self, here: Activation) -> Activation:
-        """The activation with penalties in the tangent only. Collective."""
+    def _with_soft_penalties(self, here: Activation) -> Activation:
+        """The activation with penalties in the matrix only. Collective."""
         blocks = self._blocks(here)
         less = [replace(b, values=-b.values) for b in blocks]
         found = dict(here.blocks)
@@ -209,7 +212,7 @@ class _Penalties:
         return replace(here, blocks=found)
 
     @contextlib.contextmanager
-    def only_helping(self, tied: bool = False) -> Iterator[None]:
+    def soft(self, tied: bool = False) -> Iterator[None]:
         """Use the penalties in the matrix only, within a context. Collective.
 
         Args:
@@ -219,7 +222,7 @@ class _Penalties:
         solver, fields, scheme = problem.solver, problem.fields, problem.scheme
         newton = problem.newton.anew(softened=True)
         problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
-        problem.use(_Helped(self._left_out))
+        problem.use(_ChangedActivation(self._with_soft_penalties))
         if tied:
             follow = Stabilisation("aggregation")
             problem.fields = [
@@ -234,11 +237,11 @@ class _Penalties:
             problem.use(scheme)
 
 
-def _put_back(problem: QuasiStatic) -> None:
+def _undo_deformation(problem: QuasiStatic) -> None:
     """Undo the deformation of points and markers. Collective."""
     points = problem.points
     points["F"] = np.eye(points["F"].shape[1])
-    # other points have not moved
+    # markers of fixed boundaries have not moved
     boundaries = [of.boundary for of in problem.form.boundaries if of.boundary.follows]
     for sets, names in (
         (points, ("x", "V", "l")),
