@@ -113,5 +113,5 @@ class ReadOnce:
         return f"this {type(self).__name__}"
 
     def _instead(self, name: str) -> str:
-        """Remedy for a changed argument, for messages."""
+        """Advice for a changed argument, for messages."""
         return f"make a new {type(self).__name__} with {name}=..."
