@@ -105,7 +105,8 @@ class ReadOnce:
         near = difflib.get_close_matches(name, kind._arguments, 1, 0.8)
         if found is None and near:
             raise ParameterError(
-                f"{self._called()} has no {name}: it has no effect; did you mean {near[0]}?"
+                f"{self._called()} has no argument {name}, and setting it has no effect; "
+                f"did you mean {near[0]}?"
             )
 
     def _called(self) -> str:
