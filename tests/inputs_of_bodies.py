@@ -58,7 +58,7 @@ INPUTS = {
     "mpm.RigidBody(TOOL, velocity=1.0)": "velocity = 1.0 must be 2 finite numbers",
     "mpm.RigidBody(TOOL, velocity=(0, 0, 1))": "velocity = (0, 0, 1) must be 2 finite numbers",
     "mpm.RigidBody(TOOL, velocity=(0, nan))": "velocity = (0, nan) must be 2 finite numbers",
-    'setattr(mpm.RigidBody(TOOL), "velocty", (0, 0))': "velocty: it has no effect; did",
+    'setattr(mpm.RigidBody(TOOL), "velocty", (0, 0))': "argument velocty, and setting it",
     "touch(s, mpm.Disc((1, 1.7), 0.5))": "body = a Ball must be a RigidBody: make it with",
     "touch(s, friction=nan)": "friction = nan must be at least 0; nan is the result",
     'touch(s, friction="rough")': "friction = 'rough' must be a number",

@@ -1,4 +1,4 @@
-"""Checks of single arguments; their errors name the value, the limit and the remedy."""
+"""Checks of single arguments; their errors name the value, the limit and a way out."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
         what: Name of the argument.
         value: The argument.
         kind: The class.
-        advice: Remedy for the message.
+        advice: Advice for the message.
     """
     if not isinstance(value, kind):
         raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")

@@ -105,7 +105,8 @@ class ReadOnce:
         near = difflib.get_close_matches(name, kind._arguments, 1, 0.8)
         if found is None and near:
             raise ParameterError(
-                f"{self._called()} has no {name}: it has no effect; did you mean {near[0]}?"
+                f"{self._called()} has no argument {name}, and setting it has no effect; "
+                f"did you mean {near[0]}?"
             )
 
     def _called(self) -> str:
@@ -113,5 +114,5 @@ class ReadOnce:
         return f"this {type(self).__name__}"
 
     def _instead(self, name: str) -> str:
-        """Remedy for a changed argument, for messages."""
+        """Advice for a changed argument, for messages."""
         return f"make a new {type(self).__name__} with {name}=..."

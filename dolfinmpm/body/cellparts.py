@@ -1,4 +1,4 @@
-"""The equal parts that cells are divided into, each a place for a material point."""
+"""Equal parts of cells; each part is a place for a material point."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Parts:
     """Parts of cells of this rank.
 
     Attributes:
-        x: Their centres (m), shape (n, gdim).
-        volume: Their volumes (m^d), shape (n,).
-        cell: Local cells that they are in, shape (n,).
-        key: A number of each that does not depend on the ranks, shape (n,).
+        x: Centres of the parts (m), shape (n, gdim).
+        volume: Volumes of the parts (m^d), shape (n,).
+        cell: Local cells of the parts, shape (n,).
+        key: Numbers that do not depend on the ranks, shape (n,).
     """
 
     x: Array
@@ -45,8 +45,8 @@ class Parts:
         """Centres and volumes of m^d pieces of some parts, shapes (rows, m^d, gdim), (rows, m^d).
 
         Args:
-            rows: Which parts.
-            m: Pieces a direction.
+            rows: Rows of the parts.
+            m: Pieces per direction.
         """
         raise NotImplementedError
 
@@ -54,23 +54,22 @@ class Parts:
         """Half-lengths (m) of the domains of pieces of some parts, shape (rows, gdim).
 
         Args:
-            rows: Which parts.
+            rows: Rows of the parts.
             volume: Volumes of the pieces (m^d), shape (rows,).
-            spread: Standard deviations of their matter along the axes (m), shape
-                (rows, gdim); by default the pieces are the whole parts.
+            spread: Standard deviations of the positions in each piece along the axes (m), shape
+                (rows, gdim); by default the pieces are whole parts.
         """
         raise NotImplementedError
 
 
 class LatticeParts(Parts):
-    """Boxes, n per cell and direction of a rectangular grid.
+    """Boxes in the cells of a rectangular grid.
 
     Args:
         grid: Background grid.
-        lattice: Its lattice.
+        lattice: Lattice of the grid.
         n: Parts per cell and direction.
-        low: Lower corner (m) of what the cells must touch, or None.
-        high: Upper corner (m), likewise.
+        low, high: Corners of a box (m) that cells must touch, or None for all cells.
     """
 
     def __init__(self, grid: Mesh, lattice: Lattice, n: int, low: Array | None, high: Array | None):
@@ -100,20 +99,19 @@ class LatticeParts(Parts):
         return x, np.broadcast_to(self.volume[rows, None] / x.shape[1], x.shape[:2])
 
     def half_lengths(self, rows: Rows, volume: Array, spread: Array | None = None) -> Array:
-        """As long and wide as the piece, with its volume; see `Parts`."""
+        """Half-lengths in proportion to the piece, with the volume of the piece; see `Parts`."""
         if spread is None:
             return 0.5 * (self.high[rows] - self.low[rows])
         return 0.5 * spread * (volume / np.prod(spread, axis=1))[:, None] ** (1 / spread.shape[1])
 
 
 class CellParts(Parts):
-    """Parts of equal size in reference coordinates, n^d a cell of any straight-sided grid.
+    """Parts of equal size in reference coordinates, n^d per cell, on any straight-sided grid.
 
     Args:
         grid: Background grid.
         n: Parts per cell and direction.
-        low: Lower corner (m) of what the cells must touch, or None.
-        high: Upper corner (m), likewise.
+        low, high: Corners of a box (m) that cells must touch, or None for all cells.
     """
 
     def __init__(self, grid: Mesh, n: int, low: Array | None, high: Array | None):
@@ -177,7 +175,7 @@ class CellParts(Parts):
         return self._at(rows, self._pieces(m))
 
     def half_lengths(self, rows: Rows, volume: Array, spread: Array | None = None) -> Array:
-        """Those of a cube: no basis averages over domains here; see `Parts`."""
+        """Half-lengths of a cube, because no basis averages over domains here; see `Parts`."""
         return np.repeat(0.5 * volume[:, None] ** (1 / self._gdim), self._gdim, axis=1)
 
 

@@ -19,22 +19,22 @@ Array = npt.NDArray[np.float64]
 
 
 class Shape:
-    """A region of space, the base of all; make one of your own with `Where`.
+    """A region of space, the base class of all shapes; see `Where` for a region by a function.
 
     Args:
         contains: Function of positions (m), shape (n, gdim), that returns n booleans.
-        low: Lower corner (m) of a box around the shape, or None if unknown.
-        high: Upper corner (m), likewise.
+        low: Lower corner of a box around the shape (m), shape (gdim,), or None if not known.
+        high: Upper corner of this box (m), shape (gdim,), or None if not known.
 
-    Shapes join with `|`, overlap with `&` and are cut with `-`:
+    `|` is the union of two shapes, `&` the intersection, and `-` the difference:
 
     >>> plate = Box((0, 0), (4, 2)) - Box((1, 0.5), (3, 1.5))
     >>> plate.contains(np.array([[0.5, 1.0], [2.0, 1.0]])).tolist()
     [True, False]
 
     Attributes:
-        volume: Its volume (m^d), or None if unknown, as that of a combination is; it may be set.
-        centroid: Its centroid (m), shape (gdim,), likewise.
+        volume: Volume (m^d), or None if not known, as for combinations; it may be set.
+        centroid: Centroid (m), shape (gdim,), or None if not known; it may be set.
     """
 
     volume: float | None = None
@@ -56,7 +56,7 @@ class Shape:
         """Whether each position x (m), shape (n, gdim), is in the shape.
 
         Raises:
-            ParameterError: They are no positions of its space, or its function fails.
+            ParameterError: Positions have another dimension, or the shape's function fails.
         """
         x = coordinates("x", x)
         if x.ndim != 2:
@@ -322,12 +322,11 @@ def _check_simple(corners: Array) -> None:
 
 
 class Where(Shape):
-    """All positions for which a function holds.
+    """All positions at which a function is true.
 
     Args:
-        condition: Function of positions in DOLFINx's layout, shape (gdim, n), that
-            returns n booleans.
-        low, high: Corners (m) of a box around them, or None if unknown.
+        condition: Function of positions (m), shape (gdim, n), that returns n booleans.
+        low, high: Corners of a box around the positions (m), or None if not known.
 
     >>> import dolfinmpm as mpm
     >>> import numpy as np
