@@ -308,6 +308,7 @@ class PointTable:
         here = {"points on this rank": len(self), "dimension": self.gdim, "fields": fields}
         return listing(here, "material points")
 
+    @collective
     def to_pyvista(self, *, deformed: bool = True) -> Any:
         """The points as a mesh of PyVista, with their domains as cells. Collective.
 

@@ -59,6 +59,10 @@ class _Look:
     rate: float
 
 
+def _comm_of(film: Film, *_: Any, **__: Any) -> MPI.Intracomm:
+    return film._comm
+
+
 class Film:
     """A film of a run: call `write(time)` after each step, and `close()`, or use it in `with`.
 
@@ -106,6 +110,7 @@ class Film:
         elif self._folder is not None:
             self._folder.cleanup()
 
+    @collective(comm_of=_comm_of)
     def write(self, time: float) -> None:
         """Add a frame with the present state. Collective.
 
@@ -134,6 +139,7 @@ class Film:
         call_together(self._comm, keep)
         self._count += 1
 
+    @collective(comm_of=_comm_of)
     def close(self) -> None:
         """Draw all frames and write the film. Collective.
 
