@@ -208,8 +208,8 @@ class Space:
             are exact sums of finer ones. A pressure and a displacement on such nested grids are a
             stable pair. Ghost facets, fill fractions and roots are those of the coarse cells.
             Needs a rectangular grid, graded or not.
-        domains: Growth of the points' domains if the basis averages; with linear functions, of the
-            domains whose corners touch rigid bodies. "stretch" stretches them by
+        domains: Growth of the points' domains if the basis averages. With linear functions,
+            corners of "volume" and "fixed" domains touch rigid bodies. "stretch" stretches them by
             diag U with U = √(FᵀF), so that they go on to tile a stretched body. "volume"
             stretches them by J^(1/d). "fixed" keeps them. The last two are for flow: there F
             grows without bound and no longer tells the shape of a point's volume.

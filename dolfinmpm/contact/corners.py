@@ -4,8 +4,8 @@ A corner is a quadrature point of contact, with its own stencil. There are two k
 Corners of domains are at x ± l, where l grows as `Space(domains=...)` says. Corners of the material
 are at x + F R with R = ±l0, and turn and shear with the points. Then neighbours share their corners
 when a body bends, and a bent surface has no steps. In large shear a corner of the material is far
-from its point. Bases without domains have corners of the material in steps in time and in the total
-configuration.
+from its point. Bases without domains have corners of the material, unless `Space(domains=...)` is
+the rule for flow, "volume" or "fixed", in static steps.
 
 If the basis has domains, a corner uses the functions at its position, in a cell that the domain
 overlaps. Its nodes are nodes of its point. So contact makes no further nodes active and adds no
@@ -156,11 +156,12 @@ class CornerLayout:
         placed = not (self._by_middle or displacement.total) and displacement.basis.averaged
         self.boxes = placed and not material
         self._by_cell = placed and displacement.growth is None
-        # material that shears without bound leads its corners away from where its volume is
+        # corners of material that shears without bound move away from its volume
         own = surface is None and not (
             material or displacement.total or displacement.basis.averaged
         )
-        self._beside = own and displacement.growth is None
+        flows = displacement.domains != "stretch"
+        self._beside = own and flows and displacement.growth is None
         signs = _signs(points.gdim)
         self.which: Rows = np.arange(1 if self._by_middle else len(signs))
         if surface is not None and surface.normal is not None:
