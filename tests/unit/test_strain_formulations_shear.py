@@ -9,7 +9,7 @@ import pytest
 import ufl
 from conftest import COMM, unit_grid
 from dolfinx import fem, mesh
-from test_frameworks import (
+from test_strain_formulations import (
     KINDS,
     LAWS,
     bound,
