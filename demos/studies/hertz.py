@@ -168,8 +168,9 @@ class Scene:
         (contact,) = self.problem.bodies.acting(operator)
         operator.move_to_zero()
         operator.update_contact()
-        some = contact.pressures > 0
-        own = contact.x[some, :-1], contact.pressures[some], contact.start.areas[some]
+        areas = contact.start.stiffness / contact.contact.stiffness_at(contact.corners.rows)
+        some = contact.now.normal > 0
+        own = contact.x[some, :-1], contact.now.normal[some], areas[some]
         x, p, area = (np.concatenate(part) for part in zip(*self.points.comm.allgather(own)))
         return np.linalg.norm(x, axis=1), p, p / area
 
