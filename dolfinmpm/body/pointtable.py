@@ -301,9 +301,16 @@ class PointTable:
             np.concatenate([piece[k + 1] for piece in pieces])[order] for k in range(len(names))
         )
 
+    def unit_of(self, name: str) -> str:
+        """Unit of a field, or of "displacement"; "" for numbers without a unit."""
+        if name == "displacement" and name not in self.fields:
+            return "m"
+        unit = getattr(getattr(self, name, None), "unit", "")
+        return unit.replace("^d", f"^{self.strain_dim}")
+
     def _repr_html_(self) -> str:
         """Number of points, dimension and fields with their units, for notebooks."""
-        units = {name: getattr(getattr(self, name, None), "unit", "") for name in self.fields}
+        units = {name: self.unit_of(name) for name in self.fields}
         fields = ", ".join(f"{name} ({unit})" if unit else name for name, unit in units.items())
         here = {"points on this rank": len(self), "dimension": self.gdim, "fields": fields}
         return listing(here, "material points")

@@ -97,7 +97,7 @@ class Film:
         self._count = 0
         self._extent = extent_of(points.grid)
         self._lines = grid_lines(points.grid, None) if points.gdim == 2 else None
-        self._unit = _unit_of(points, look.colour)
+        self._unit = points.unit_of(look.colour)
 
     def __enter__(self) -> Film:
         """The film itself."""
@@ -283,13 +283,6 @@ def animate(
 
     call_together(comm, of_series)
     return None
-
-
-def _unit_of(points: MaterialPoints, colour: str) -> str:
-    if colour == "displacement" and colour not in points.fields:
-        return "m"
-    unit = getattr(getattr(points, colour, None), "unit", "")
-    return unit.replace("^d", f"^{points.strain_dim}")
 
 
 def _grid_of(series: Series) -> Array | None:

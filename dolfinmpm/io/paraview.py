@@ -213,8 +213,7 @@ class ParaView:
             derived = name == "displacement" and name not in points.fields
             values = points["x"] - points["x0"] if derived else points[name]
             arrays[name] = _padded(values, 1.0 if name == "F" else 0.0)
-            unit = "m" if derived else getattr(getattr(points, name, None), "unit", "")
-            units[name] = unit.replace("^d", f"^{points.strain_dim}")
+            units[name] = points.unit_of(name)
         return arrays, units
 
     def _write_points(self, stem: str) -> None:

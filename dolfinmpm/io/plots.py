@@ -133,7 +133,7 @@ def plot(
             return
         x, F, half, half0, values = gathered
         F = in_section(points, F)
-        unit = "m" if derived else getattr(getattr(points, colour, None), "unit", "")
+        unit = points.unit_of(colour)
         scalars, symbol = scalar_of(x - values if derived else values, component, points.gdim)
         missing = np.flatnonzero(~np.isfinite(scalars))
         if missing.size and limits is None:
@@ -142,7 +142,7 @@ def plot(
                 f"{x[missing[0]]} m; give limits to leave such points blank"
             )
         scale, prefix = prefix_of(scalars, limits) if unit == "Pa" else (1.0, "")
-        unit = prefix + unit.replace("^d", f"^{points.strain_dim}")
+        unit = prefix + unit
         # columns are the half-edges of the points' domains
         edges = half[:, None] * np.eye(points.gdim) if draw == "domains" else F * half0[:, None]
         scene = Scene(
