@@ -24,6 +24,7 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Polygon, Shape
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
 from dolfinmpm.materials.parametrised import Parametrised
@@ -174,7 +175,10 @@ def _body(body: RigidBody) -> Any:
 def _mark(mark: Any) -> Any:
     """Data of a contact or a weak condition: its numbers, words, bodies and boundaries."""
     kinds = bool, int, float, str, tuple, type(None), RigidBody, Boundary, Surface
-    kept = {name: value for name, value in vars(mark).items() if isinstance(value, kinds)}
+    values = dict(vars(mark))
+    if isinstance(values.get("law"), ContactLaw):
+        values |= vars(values["law"])
+    kept = {name: value for name, value in values.items() if isinstance(value, kinds)}
     return plain_value({"kind": type(mark).__name__, **kept})
 
 

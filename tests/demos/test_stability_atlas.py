@@ -25,7 +25,8 @@ def test_a_slope_needs_its_stabilisation(tmp_path):
     assert found["wrong"] == 0
     (failed,) = found["worst"]
     assert failed["outcome"] == "told why"
-    assert failed["reason"].startswith("ConvergenceError")
+    # no balance is found, or the substeps become too many
+    assert failed["reason"].startswith(("ConvergenceError", "iterations: more than"))
     assert failed["command"].endswith("--family slopes --basis gimp --stabilisation none")
     assert (tmp_path / "stability_atlas.png").stat().st_size > 0
     first = lines(tmp_path)
