@@ -143,7 +143,7 @@ def test_multipliers_bound_the_penetration():
         problem = pressed(0.0, penalty=2.0, penetration=bound)
         problem.step()
         (contact,) = problem.form.parts.terms
-        deepest.append(-problem.operator().active(contact).facing.gap.min())
+        deepest.append(-problem.operator().active(contact).pairs.gap.min())
     assert deepest[0] > 3e-3
     # the next step measures the gap anew, between surfaces that have bent
     assert deepest[1] < 1.2 * 2e-4
