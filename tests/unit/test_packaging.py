@@ -103,7 +103,8 @@ def test_what_the_docs_name_is_there():
             if "://" not in link:
                 assert (ROOT / page).parent.joinpath(link).exists(), f"{page} names {link}"
         for path in re.findall(r"\b(?:packaging|docker|docs)/[\w./]+\w(?![\w*])", text):
-            assert (ROOT / path).exists(), f"{page} names {path}"
+            if not path.startswith("docs/_build/"):  # made by docs/build
+                assert (ROOT / path).exists(), f"{page} names {path}"
 
 
 @pytest.mark.parametrize("script", ["docker/run", ".ci/run", "packaging/slurm.sh"])
