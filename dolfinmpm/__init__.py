@@ -19,6 +19,7 @@ with _idle_collector():
     from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
+    from dolfinmpm.body.wantedsizes import near, where_it_yields
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
@@ -112,6 +113,7 @@ __all__ = [
     "measure_stages",
     "momentum",
     "moving",
+    "near",
     "partitioner",
     "plot",
     "poromechanics",
@@ -128,5 +130,6 @@ __all__ = [
     "stress",
     "study",
     "times",
+    "where_it_yields",
     "zoned_line",
 ]

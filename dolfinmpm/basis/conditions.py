@@ -57,6 +57,8 @@ class Condition:
         kind: "increment" of every step, of which parts of a step have a share; "value" of the
             field itself, which parts of a step have in full; or "zero", which is both.
         place: Function of positions that says where in every step anew, or None.
+        chooses: Side, or function of positions, that chose the nodes.
+        function: Function of positions that gave the values, or None.
     """
 
     space: Space
@@ -67,6 +69,8 @@ class Condition:
     velocity: Callable[[float], float] | None = None
     kind: str = "zero"
     place: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]] | None = None
+    chooses: Where = ""
+    function: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None
 
     @property
     def changes(self) -> bool:
@@ -248,11 +252,15 @@ def prescribed(
             "follows=True goes with a function of positions as where, and with a number or a "
             f"constant as {kind}: the number of nodes may change from step to step"
         )
-    nodes, name = _nodes(space, where, follows)
+    # a place may lie between the nodes of the grid, where leaves have nodes
+    nodes, name = _nodes(space, where, follows or space.refinement is not None)
     what = f"the {'increment' if kind == 'zero' else kind} prescribed at '{name}'"
     checked = _checked(space, nodes, what, given)
     place = where if follows and callable(where) else None
-    return [Condition(space, nodes, int(component), checked, name, None, kind, place)]
+    function = given if callable(given) and not isinstance(given, fem.Constant) else None
+    return [
+        Condition(space, nodes, int(component), checked, name, None, kind, place, where, function)
+    ]
 
 
 @collective

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.basis import LatticeBasis, Placement, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import concatenated, selected, spread
 from dolfinmpm.body.points import MaterialPoints
@@ -117,8 +117,22 @@ def _boundaries(
 
 
 def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
-    """Active nodes owned by this rank, in the numbering of the field's space."""
+    """Active nodes owned by this rank, in the numbering of the field's space.
+
+    With leaves these are the corners of the grid's cells that contain active leaves.
+    """
     basis, base = field.basis, field.space.basis
+    if isinstance(basis, LeafBasis):
+        assert isinstance(base, LatticeBasis)
+        cells = np.flatnonzero(field.cells)
+        roots = np.unique(basis.leaves.low[basis.leaf[cells]] >> basis.leaves.tree.levels, axis=0)
+        flags, table = np.zeros(base.nodes.size, bool), base.halo.node_table
+        for corner in np.ndindex(*(2,) * roots.shape[1]):
+            at = roots - base.halo.origin + np.array(corner, np.int32)
+            at = at[np.all((at >= 0) & (at < table.shape), axis=1)]
+            found = table[tuple(at.T)]
+            flags[found[found >= 0]] = True
+        return np.flatnonzero(base.nodes.share_flags(flags)[: base.nodes.owned]).astype(np.int32)
     if basis.grid_nodes is None:
         return field.active[field.active < basis.nodes.owned]
     flags = np.zeros(basis.nodes.size, bool)
@@ -197,7 +211,7 @@ class _Draft:
     @property
     def key(self) -> Hashable:
         """Key that is equal for fields with the same points, markers and basis."""
-        return id(self.field.space.basis), self.field.space.tags, tuple(self.has_markers.values())
+        return id(self.basis), self.field.space.tags, tuple(self.has_markers.values())
 
     def stencils(self, where: Placement, sets: dict[int, ActiveBoundary]) -> Stencils:
         """Stencils in the basis; points outside the field get empty stencils. Collective.
@@ -308,7 +322,7 @@ class _Builder:
         """Add roots on other ranks to bases, for grids that are not rectangular. Collective."""
         for draft in self._drafts:
             constraining, basis = draft.field.constraining, draft.basis
-            if constraining is None or isinstance(basis, LatticeBasis):
+            if constraining is None or not isinstance(basis, LinearBasis):
                 continue
             filled = constraining.measure(self._where, draft.full_stencils, basis)
             draft.roots = mesh_roots(basis, draft.nodes, filled, constraining.level(basis.degree))
@@ -337,6 +351,9 @@ class _Builder:
 
             own = sparse.csr_matrix(field.prolongate(seen, nodes))
             C = own if C is None else C @ own
+        if isinstance(basis, LeafBasis) and basis.hangs.any():
+            H = basis.hanging
+            C = H if C is None else H @ C
         to_grid, stencils = extraction(field.space, basis), seen
         if C is not None:
             prolongation = Prolongation(C)
@@ -384,6 +401,7 @@ def _bases(
     reach = {id(f.space.basis): f.space.basis for f in fields}
     reaches = {key: basis.reach(where) for key, basis in reach.items()}
     layers: dict[int, int] = {}
+    averaged = any(f.space.basis.averaged for f in fields if f.space.refinement is not None)
     # cell means use the nodes of all fields around the cells of the first field's domains
     span = max(count for _, count in reaches.values())
     for one in fields:
@@ -394,4 +412,14 @@ def _bases(
         if one.constrains_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
         layers[id(basis)] = max(layers.get(id(basis), 0), need)
-    return [f.space.basis.grown(layers[id(f.space.basis)], partition) for f in fields]
+    found: list[Basis] = []
+    for one in fields:
+        base, refinement = one.space.basis, one.space.refinement
+        need = layers[id(base)]
+        if refinement is None:
+            found.append(base.grown(need, partition))
+        else:
+            assert isinstance(base, LatticeBasis)
+            refinement.leaves_for(where, averaged)
+            found.append(refinement.basis(base, need, partition))
+    return found
