@@ -142,6 +142,14 @@ class LeafBasis:
         edges = self._high - self._low
         return np.asarray(np.prod(edges, axis=1) ** (1 / edges.shape[1]))
 
+    def node_sizes(self) -> Array:
+        """Size of the smallest known cell at each node (m), shape (nodes,)."""
+        sizes = np.full(self.nodes.size, np.inf)
+        each = self.corner_nodes.shape[1]
+        np.minimum.at(sizes, self.corner_nodes.ravel(), np.repeat(self.cell_sizes(), each))
+        # a master of a hanging node may be known without its cells
+        return np.where(np.isfinite(sizes), sizes, self.cell_sizes().max(initial=0.0))
+
     def cells_of_nodes(self) -> Ints:
         """Local cell of each cell of the tree, -1 for no leaf or an unknown one."""
         number = self.leaves.number

@@ -342,7 +342,8 @@ class _Builder:
         if C is not None and field.stabilisation.kind == "weak-aggregation":
             owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
             radius = basis.node_coordinates()[:, 0] if self._points.axisymmetric else None
-            entries = field.stabilisation.penalty(field.space, C, owned, radius)
+            sizes = basis.node_sizes() if isinstance(basis, LeafBasis) else None
+            entries = field.stabilisation.penalty(field.space, C, owned, radius, sizes)
             self.penalties.append(Blocks(draft.number, draft.number, *entries))
             C = None
         level = None if C is None or constraining is None else constraining.level(basis.degree)
@@ -353,7 +354,8 @@ class _Builder:
             C = own if C is None else C @ own
         if isinstance(basis, LeafBasis) and basis.hangs.any():
             H = basis.hanging
-            C = H if C is None else H @ C
+            # a node may follow a root with hanging corners
+            C = H if C is None else H @ C @ H
         to_grid, stencils = extraction(field.space, basis), seen
         if C is not None:
             prolongation = Prolongation(C)

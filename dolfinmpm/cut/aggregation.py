@@ -23,9 +23,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.basis import LatticeBasis, LinearBasis
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.basis.bspline import extension_weights
 from dolfinmpm.basis.cells import pull_back
+from dolfinmpm.cut.leafaggregation import leaf_constraints
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -265,7 +266,7 @@ def _mesh_constraints(basis: LinearBasis, roots: MeshRoots):
 
 
 def constraint_matrix(
-    basis: LatticeBasis | LinearBasis,
+    basis: LatticeBasis | LeafBasis | LinearBasis,
     nodes: npt.NDArray[np.int32],
     filled: npt.NDArray[np.float64],
     threshold: float,
@@ -297,6 +298,8 @@ def constraint_matrix(
     size = basis.nodes.size
     if isinstance(basis, LatticeBasis):
         found = _lattice_constraints(basis, nodes, filled, threshold, extended)
+    elif isinstance(basis, LeafBasis):
+        found = leaf_constraints(basis, nodes, filled, threshold, extended)
     else:
         assert roots is not None
         found = _mesh_constraints(basis, roots)

@@ -54,6 +54,8 @@ def why_not(
     """
     if not isinstance(field.space.basis, LatticeBasis):
         return "the grid is not rectangular"
+    if field.space.refinement is not None:
+        return "the space is refined"
     if mass != "lumped":
         return "the mass is consistent"
     if not settings.plain:

@@ -140,6 +140,15 @@ class Leaves:
             overlaps_of(x, half, *search, count, begin, nodes)
         return begin, self.number[nodes]
 
+    def smallest(self, x: Array, half: Array) -> Array:
+        """Shortest edge of the leaves of each domain (m), shape (n,); see `overlapped`."""
+        begin, leaf = self.overlapped(x, half)
+        low, high = self.tree.corners(self.node)
+        edge = (high - low).min(axis=1)
+        result = np.full(len(x), np.inf)
+        np.minimum.at(result, np.repeat(np.arange(len(x)), np.diff(begin)), edge[leaf])
+        return result
+
 
 def leaves_of(
     comm: MPI.Intracomm,
