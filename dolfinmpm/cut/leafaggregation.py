@@ -12,6 +12,7 @@ from dolfinmpm.basis import LeafBasis
 __all__ = ["leaf_constraints"]
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
 # Nearest leaves among which the root of a node is chosen, and their largest distance in units of
 # the larger cell
 _CANDIDATES, _FARTHEST = 64, 5.0
@@ -34,14 +35,14 @@ def leaf_constraints(
         extended: Whether every leaf of supported nodes may be a root, not only a well-filled one.
     """
     good = filled >= threshold - 1e-9
-    inner = np.zeros(basis.nodes.size, bool)
+    inner: npt.NDArray[np.bool_] = np.zeros(basis.nodes.size, bool)
     inner[basis.corner_nodes[good].ravel()] = True
     # the nodes that a supported hanging node follows have its support
-    inner |= basis.hanging.T @ inner.astype(float) > 0
+    inner |= np.asarray(basis.hanging.T @ inner.astype(float) > 0)
     if extended:
-        good = inner[basis.corner_nodes].all(axis=1)
+        good = np.asarray(inner[basis.corner_nodes].all(axis=1))
     outer = nodes[~inner[nodes] & ~basis.hangs[nodes]]
-    roots = np.flatnonzero(good)
+    roots: Rows = np.flatnonzero(good)
     if not outer.size or not roots.size:
         return
     roots = roots[np.argsort(basis.leaf[roots], kind="stable")]
@@ -49,26 +50,26 @@ def leaf_constraints(
         if root >= 0:
             low, high = (corner[root] for corner in basis.cell_corners())
             t = (basis.node_coordinates()[a, : low.size] - low) / (high - low)
-            weights = np.ones(1)
+            weights: Array = np.ones(1)
             for share in t:
-                weights = np.multiply.outer(weights, [1.0 - share, share])
+                weights = np.asarray(np.multiply.outer(weights, [1.0 - share, share]))
             yield int(a), basis.corner_nodes[root], weights.ravel()
 
 
-def _nearest(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: npt.NDArray[np.intp]) -> Array:
+def _nearest(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows) -> Rows:
     """Root of each node, or -1."""
     from scipy.spatial import cKDTree
 
     low, high = basis.cell_corners()
     size, x = basis.cell_sizes(), basis.node_coordinates()[outer, : low.shape[1]]
-    around = np.zeros(basis.nodes.size)
+    around: Array = np.zeros(basis.nodes.size)
     np.maximum.at(around, basis.corner_nodes.ravel(), np.repeat(size, basis.corner_nodes.shape[1]))
     count = min(_CANDIDATES, roots.size)
     middles = 0.5 * (low + high)[roots]
     distance, near = cKDTree(middles).query(x, k=[*range(1, count + 1)])
     unit = distance / np.maximum(size[roots][near], around[outer][:, None])
     ends = np.array([[line[0], line[-1]] for line in basis.lattice.lines])
-    allowed = np.ones(near.shape, bool)
+    allowed: npt.NDArray[np.bool_] = np.ones(near.shape, bool)
     for d, (first, last) in enumerate(ends):
         slack = 1e-9 * (last - first)
         for corner, end in ((low, first), (high, last)):

@@ -1,0 +1,179 @@
+"""Refined spaces: trees, hanging nodes, patch tests, ghost facets, fill by leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+from dolfinmpm.grid.lattice import lattice_of
+from dolfinmpm.grid.leafnodes import LeafNodes
+from dolfinmpm.grid.leaves import leaves_of
+
+
+def lattice(gdim, cells=4):
+    return mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, cells, cells + 1)] * gdim)
+
+
+def random_size(rng, gdim, levels):
+    """Small cells around some places."""
+    centres, sizes = rng.uniform(0, 4, (3, gdim)), 2.0 ** -rng.integers(1, levels + 1, 3)
+
+    def size(x):
+        apart = np.linalg.norm(x.T[:, None] - centres, axis=2)
+        return np.minimum(sizes + np.maximum(apart - 0.3, 0.0), 1.0).min(axis=1) * 1.01
+
+    return size
+
+
+def covered(grid, levels, size):
+    """Leaves all over a grid."""
+    every = lattice_of(grid)
+    x = np.array(list(np.ndindex(*every.shape))) + 0.5
+    given = mpm.Space(grid, "gimp", refine=size, levels=levels).refinement
+    return leaves_of(grid.comm, every, levels, x, np.full_like(x, 0.5), given.wanted)
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_leaves_tile_the_grid_and_neighbours_differ_by_one_level(gdim, seed):
+    grid, rng = lattice(gdim), np.random.default_rng(seed)
+    leaves = covered(grid, 4, random_size(rng, gdim, 4))
+    low, high = leaves.tree.corners(leaves.node)
+    assert np.prod(high - low, axis=1).sum() == pytest.approx(4.0**gdim, rel=1e-14)
+    # sizes of all pairs of leaves that touch
+    a, b = leaves.low, leaves.low + leaves.size[:, None]
+    touch = np.all((a[:, None] <= b) & (a <= b[:, None]), axis=2)
+    ratio = leaves.size[:, None] / leaves.size
+    assert ratio[touch].max() <= 2.0
+    assert leaves.size.min() < leaves.size.max()
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_hanging_nodes_reproduce_linear_functions_by_independent_nodes(gdim):
+    grid, rng = lattice(gdim), np.random.default_rng(7)
+    leaves = covered(grid, 3, random_size(rng, gdim, 3))
+    nodes = LeafNodes.of(leaves)
+    x = leaves.tree.coordinates(nodes.fine)
+    f = x @ rng.normal(size=gdim) + 0.3
+    assert nodes.hanging.any()
+    assert not nodes.hanging[nodes.matrix.indices].any()
+    assert np.abs(nodes.matrix @ np.where(nodes.hanging, 0.0, f) - f).max() < 1e-13
+
+
+def patched(gdim, basis, seed, top, stabilisation, per_cell=2):
+    """Largest error of a homogeneous deformation, in units of the largest displacement."""
+    grid, rng = lattice(gdim), np.random.default_rng(seed)
+    V = mpm.Space(grid, basis, refine=random_size(rng, gdim, 3), levels=3)
+    corner = (4.0,) * (gdim - 1) + (top,)
+    box = mpm.Box((0.0,) * gdim, corner)
+    points = mpm.fill(grid, box, per_cell=per_cell, density=1e3, refine=V)
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    A = 1e-3 * rng.normal(size=(gdim, gdim))
+
+    def held(x):  # the sides, and all nodes of the cells that the body cuts
+        return np.any((x < 1e-9) | (x > 4 - 1e-9), axis=0) | (x[-1] > top - 1.0 + 1e-9)
+
+    bcs = [
+        condition
+        for k in range(gdim)
+        for condition in mpm.prescribed(V, held, k, increment=lambda x, k=k: A[k] @ x)
+    ]
+    problem = mpm.QuasiStatic(
+        F, u, points, bcs, tolerance=1e-9, stabilisation=mpm.Stabilisation(stabilisation)
+    )
+    x0 = points["x"].copy()
+    problem.step()
+    moved = points["x"] - x0
+    return np.abs(moved - x0 @ A.T).max() / np.abs(x0 @ A.T).max()
+
+
+@pytest.mark.parametrize("basis", ["gimp", "linear"])
+@pytest.mark.parametrize("seed", range(3))
+def test_patch_on_random_leaves(basis, seed):
+    assert patched(2, basis, seed, 4.0, "none") < 1e-12
+    assert patched(2, basis, seed, 3.3, "ghost") < 1e-12
+
+
+@pytest.mark.parametrize("stabilisation", ["none", "ghost", "aggregation"])
+def test_patch_in_three_dimensions(stabilisation):
+    assert patched(3, "gimp", 4, 3.3, stabilisation) < 1e-12
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("gdim", [2, 3])
+@pytest.mark.parametrize("seed", range(100))
+def test_patch_on_many_random_leaves(gdim, seed):
+    top = 4.0 if seed % 2 else float(np.random.default_rng(seed).uniform(2.5, 3.9))
+    kind = ("none", "ghost", "aggregation")[seed % 3]
+    assert patched(gdim, "gimp" if seed % 5 else "linear", seed, top, kind) < 1e-12
+
+
+def test_fill_by_leaves_has_the_volume_of_the_shape():
+    grid = lattice(2)
+    V = mpm.Space(grid, "gimp", refine=lambda x: np.where(x[0] < 1.7, 0.25, 1.0), levels=2)
+    for shape, exact in ((mpm.Box((0, 0), (4, 2.3)), False), (mpm.Disc((2, 2), 1.5), True)):
+        points = mpm.fill(grid, shape, per_cell=2, density=1e3, refine=V, exact=exact)
+        assert points["V"].sum() == pytest.approx(shape.volume, rel=1e-12)
+        left = points["x"][:, 0] < 1.5
+        assert points["l"][left].max() <= 0.0625 * (1 + 1e-9)
+
+
+def gravity_column(cells=4, **options):
+    """Mean settlement of a block under its weight."""
+    import ufl
+    from dolfinx import fem
+
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2)
+    V = mpm.Space(grid, "gimp", **options)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2.3)), per_cell=2, density=2000.0, refine=V)
+    u, v = V.increment, V.test
+    load = fem.Constant(grid, (0.0, -9.81))
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    F -= ufl.inner(points.density * load, v) * points.dX
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=mpm.Stabilisation("ghost"))
+    y0 = points["x"][:, 1].copy()
+    problem.step()
+    return float(points["V0"] @ (points["x"][:, 1] - y0)) / float(points["V0"].sum())
+
+
+def test_without_levels_the_result_is_that_of_the_grid():
+    def size(x):
+        return np.full(x.shape[1], 0.1)
+
+    assert gravity_column(refine=size, levels=0) == gravity_column()
+
+
+def test_leaves_of_one_size_are_a_finer_grid():
+    fine = gravity_column(refine=lambda x: np.full(x.shape[1], 0.25), levels=2)
+    assert fine == pytest.approx(gravity_column(cells=16), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (dict(basis="bspline2"), 'refine needs basis="linear" or "gimp"'),
+        (dict(basis="gimp", coarsen=2), "refine needs"),
+        (dict(basis="gimp", levels=None), "go together"),
+        (dict(basis="gimp", levels=11), "at most 10"),
+        (dict(basis="gimp", refine=0.1), "must be a function of positions"),
+    ],
+)
+def test_bad_refinements_are_refused(options, text):
+    options = dict(refine=lambda x: np.ones(x.shape[1]), levels=2) | options
+    with pytest.raises(mpm.errors.ParameterError, match=text):
+        mpm.Space(lattice(2), options.pop("basis"), **options)
+
+
+def test_integrals_over_the_grid_are_refused():
+    grid = lattice(2)
+    V = mpm.Space(grid, "gimp", refine=lambda x: np.full(x.shape[1], 0.5), levels=1)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0, refine=V)
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    F += mpm.soft(points, u, v, E=1e6, nu=0.3, eta=1e-3)
+    with pytest.raises(mpm.errors.UnsupportedGridError, match="do not know the leaves"):
+        mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom")).step()
