@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
@@ -14,12 +15,21 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.latticebasis import LatticeBasis
 from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.stencils import Placement
-from dolfinmpm.grid.lattice import Lattice, require_lattice
+from dolfinmpm.grid.lattice import Lattice, largest_cell, require_lattice, smallest_height
 from dolfinmpm.grid.leaves import Leaves, leaves_of
 from dolfinmpm.grid.partition import Partition
 from dolfinmpm.grid.userfunctions import call_function
 
-__all__ = ["MOST_LEVELS", "CellSize", "Refinement", "SizeAt", "refinement_of"]
+__all__ = [
+    "MOST_LEVELS",
+    "CellSize",
+    "Refinement",
+    "SizeAt",
+    "cells_around",
+    "finest_cell",
+    "refinement_of",
+    "sizes_at",
+]
 
 Array = npt.NDArray[np.float64]
 # Lines of the finest level are 32-bit numbers
@@ -96,6 +106,15 @@ class Refinement:
         self._bases: dict[tuple[int, int], tuple[Partition | None, LeafBasis]] = {}
 
     @property
+    def depth(self) -> int:
+        """Levels that the sizes wanted can reach, at most `levels`."""
+        least = min(getattr(one, "least", 0.0) for one in self.sizes)
+        if least <= 0.0:
+            return self.levels
+        edge = max(np.diff(line).max() for line in self.lattice.lines)
+        return min(self.levels, max(0, math.ceil(math.log2(edge / least) - 1e-9)))
+
+    @property
     def lattice(self) -> Lattice:
         """The grid of the roots."""
         return require_lattice(self._grid, "refine")
@@ -165,3 +184,51 @@ def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:
         # the arguments stay alive with the result, so that their ids stay theirs
         known[key] = every, Refinement(grid, _sizes(refine), levels)
     return known[key][1]
+
+
+def _refinements(grid: Mesh) -> list[Refinement]:
+    """The refinements of spaces on a grid."""
+    return [made for _, made in grid.__dict__.get("_dolfinmpm_refinements", {}).values()]
+
+
+def finest_cell(grid: Mesh) -> float:
+    """Least height of a cell of the grid, or of the leaves of a space on it (m). Collective."""
+    depth = max((one.depth for one in _refinements(grid)), default=0)
+    return smallest_height(grid) / 2**depth
+
+
+def sizes_at(grid: Mesh, x: Array) -> Array:
+    """Sizes of the cells at positions x (m), shape (n,). Collective.
+
+    Without leaves the size is that of the largest cell of the grid. With leaves of several spaces
+    the smallest one counts.
+    """
+    sizes = np.full(len(x), largest_cell(grid))
+    for one in _refinements(grid):
+        if one.leaves is not None:
+            found = one.leaves.smallest(np.ascontiguousarray(x), np.zeros_like(x))
+            sizes = np.minimum(sizes, found)
+    return sizes
+
+
+def cells_around(grid: Mesh, x: Array) -> tuple[Array, Array]:
+    """Corners of the cells at positions x (m), both of shape (n, gdim).
+
+    With leaves of several spaces they are those of the smallest leaf.
+
+    Args:
+        grid: Background grid, rectangular.
+        x: Positions (m), shape (n, gdim).
+    """
+    lattice = require_lattice(grid, "cells around positions")
+    ijk = lattice.cells_at(x)
+    ends = [(line[i], line[i + 1]) for line, i in zip(lattice.lines, ijk.T)]
+    low, high = (np.column_stack(side) for side in zip(*ends))
+    for one in _refinements(grid):
+        if one.leaves is None or not len(x):
+            continue
+        _, leaf = one.leaves.overlapped(np.ascontiguousarray(x), np.zeros_like(x))
+        a, b = one.leaves.tree.corners(one.leaves.node[leaf])
+        smaller = (leaf >= 0) & (np.prod(b - a, axis=1) < np.prod(high - low, axis=1))
+        low[smaller], high[smaller] = a[smaller], b[smaller]
+    return low, high

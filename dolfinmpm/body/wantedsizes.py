@@ -20,6 +20,7 @@ class _Near:
 
     def __init__(self, body: Any, size: float, reach: float, growth: float):
         self._body, self._size, self._reach, self._growth = body, size, reach, growth
+        self.least = size
 
     def wanted(self, low: Array, high: Array) -> Array:
         """See `dolfinmpm.basis.refinement.CellSize`."""
@@ -68,6 +69,7 @@ class _WhereItYields:
 
     def __init__(self, points: Any, size: float, field: str, least: float):
         self._points, self._size, self._field, self._least = points, size, field, least
+        self.least = size
 
     def wanted(self, low: Array, high: Array) -> Array:
         """See `dolfinmpm.basis.refinement.CellSize`."""

@@ -16,6 +16,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind, choice
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.term import Term, as_form
+from dolfinmpm.basis.refinement import finest_cell
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
@@ -28,7 +29,6 @@ from dolfinmpm.contact.protocols import CornerFields
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.grid.lattice import smallest_height
 
 __all__ = ["RigidContact", "contact"]
 
@@ -104,7 +104,7 @@ class RigidContact(Term):
         points.add_field(names.modulus, (), "Pa")
         if self._cell is None:
             # a regridded grid must not change the stiffness of the contact
-            self._cell = smallest_height(points.grid)
+            self._cell = finest_cell(points.grid)
         E = points[names.modulus]
         new = E == 0.0
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):

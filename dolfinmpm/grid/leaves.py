@@ -146,7 +146,8 @@ class Leaves:
         low, high = self.tree.corners(self.node)
         edge = (high - low).min(axis=1)
         result = np.full(len(x), np.inf)
-        np.minimum.at(result, np.repeat(np.arange(len(x)), np.diff(begin)), edge[leaf])
+        of, known = np.repeat(np.arange(len(x)), np.diff(begin)), leaf >= 0
+        np.minimum.at(result, of[known], edge[leaf[known]])
         return result
 
 

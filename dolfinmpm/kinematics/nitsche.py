@@ -34,13 +34,13 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis.refinement import sizes_at
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.lawterms import flux
 from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
@@ -130,7 +130,8 @@ class WeakCondition:
             assert self.declaration is not None
             rows = self.declaration.rows
             moduli = self.declaration.elastic.moduli()[:, 0]
-            markers[self.stiffness][rows] = self.penalty * moduli / largest_cell(markers.grid)
+            sizes = sizes_at(markers.grid, markers["x"][rows])
+            markers[self.stiffness][rows] = self.penalty * moduli / sizes
 
     def gaps(self) -> npt.NDArray[np.float64]:
         """Deviation from the prescribed displacement at the markers of this rank (m)."""

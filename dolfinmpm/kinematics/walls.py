@@ -30,6 +30,7 @@ from dolfinmpm._platform.argumentchecks import check_kind, number
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm.basis.refinement import sizes_at
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
@@ -105,7 +106,8 @@ class Wall:
             k[:] = self.fixed
         elif self.declaration is not None:
             M = self.declaration.elastic.moduli()[:, 0]
-            k[self.declaration.rows] = self.penalty * M / largest_cell(markers.grid)
+            rows_of = self.declaration.rows
+            k[rows_of] = self.penalty * M / sizes_at(markers.grid, markers["x"][rows_of])
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]

@@ -32,6 +32,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import choice, number
 from dolfinmpm._platform.errors import UnstablePairWarning, warn
+from dolfinmpm.basis.refinement import finest_cell
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CellOffset
@@ -54,6 +55,8 @@ _LUMPED_NESTED = 3.0
 def size_of(p: Any) -> Any:
     """Mean size of the pressure's cells (m), a constant for UFL. Collective."""
     space: Space = p._dolfinmpm_space
+    if space.refinement is not None:
+        return own_constant(space.grid, finest_cell(space.grid))
     size = space.cell_size
     if not isinstance(size, fem.Function):
         return size

@@ -16,6 +16,7 @@ from dolfinmpm.assembly.nitschepenalty import trace_constants
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.state import Local
 from dolfinmpm.assembly.term import NewState, Term
+from dolfinmpm.basis.refinement import cells_around, finest_cell
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import OWN, Boundary
@@ -26,7 +27,7 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.regions import active_boundary_regions
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.splitting import BoundaryTerms
-from dolfinmpm.grid.lattice import lattice_of, smallest_height
+from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.kinematics.nitsche import TRACE
 from dolfinmpm.terms.referencemarkers import reference_wall
 
@@ -226,15 +227,14 @@ def _middles(boundary: Boundary) -> Array:
     if lattice is None:
         corners = grid.geometry.x[:, : markers.gdim][geometry_dofmap(grid)[markers["cell"]]]
         return np.asarray(corners.mean(axis=1), np.float64)
-    ijk = lattice.cells_at(x)
-    lines = enumerate(lattice.lines)
-    return np.column_stack([0.5 * (line[ijk[:, d]] + line[ijk[:, d] + 1]) for d, line in lines])
+    low, high = cells_around(grid, x)
+    return np.asarray(0.5 * (low + high))
 
 
 def _stays(boundary: Boundary, rows: npt.NDArray[np.integer]) -> bool:
     """Whether markers are in the cells of their kept constants, and have moved little."""
     markers = boundary.markers
-    h = smallest_height(markers.grid)
+    h = finest_cell(markers.grid)
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
     other = np.abs(_middles(boundary) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
     known = bool((markers[TRACE][rows] > 0).all())

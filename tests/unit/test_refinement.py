@@ -155,15 +155,15 @@ def test_leaves_of_one_size_are_a_finer_grid():
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (dict(basis="bspline2"), 'refine needs basis="linear" or "gimp"'),
-        (dict(basis="gimp", coarsen=2), "refine needs"),
-        (dict(basis="gimp", levels=None), "go together"),
-        (dict(basis="gimp", levels=11), "at most 10"),
-        (dict(basis="gimp", refine=0.1), "must be a function of positions"),
+        ({"basis": "bspline2"}, 'refine needs basis="linear" or "gimp"'),
+        ({"basis": "gimp", "coarsen": 2}, "refine needs"),
+        ({"basis": "gimp", "levels": None}, "go together"),
+        ({"basis": "gimp", "levels": 11}, "at most 10"),
+        ({"basis": "gimp", "refine": 0.1}, "must be a function of positions"),
     ],
 )
 def test_bad_refinements_are_refused(options, text):
-    options = dict(refine=lambda x: np.ones(x.shape[1]), levels=2) | options
+    options = {"refine": lambda x: np.ones(x.shape[1]), "levels": 2} | options
     with pytest.raises(mpm.errors.ParameterError, match=text):
         mpm.Space(lattice(2), options.pop("basis"), **options)
 
