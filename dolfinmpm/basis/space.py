@@ -250,6 +250,9 @@ class Space:
             see `Problem.adapt`.
         levels: Largest number of times that a cell of the grid is halved, 0 to 10. With 0 the
             cells are those of the grid.
+        per_cell: Points per leaf and direction that points follow: they split where leaves are
+            finer, and merge where leaves are larger again. None leaves the points as they are.
+            Counts with `refine` only.
 
     Attributes:
         increment: The step's increment, a function for UFL.
@@ -288,6 +291,7 @@ class Space:
         tag: int | tuple[int, ...] | None = None,
         refine: Any = None,
         levels: int | None = None,
+        per_cell: int | None = 2,
     ):
         basis = choice("basis", basis, _DEGREES)
         _check_grid(grid)
@@ -307,6 +311,7 @@ class Space:
         self.grid = grid
         self.coarsen = whole("coarsen", coarsen, 1)
         self.tags = as_tags(tag)
+        self.per_cell = None if per_cell is None else whole("per_cell", per_cell, 1)
         self.refinement = None
         if refine is not None or levels is not None:
             self.refinement = self._refined(basis, refine, levels)

@@ -37,6 +37,7 @@ from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_levels
 from dolfinmpm.forms.hoop import check_hoops
 from dolfinmpm.grid.graded import times_regridded
+from dolfinmpm.solve.adaptation import Adaptation, adapt
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
     check_callable,
@@ -360,6 +361,20 @@ class Problem(ReadOnce):
     def _set_penalties(self, here: Activation) -> None:
         """Set the penalties of weak conditions. Collective."""
         self.form.set_penalties(here)
+
+    @collective
+    def adapt(self) -> Adaptation:
+        """Let leaves of refined spaces, and points, follow the sizes wanted now. Collective.
+
+        Points split where their domains are larger than their part of the leaf under them, and
+        siblings merge where leaves are larger again and the siblings are alike. Volume, mass,
+        momentum and angular momentum stay. `step` calls it before every step; call it before the
+        first step to see the refined points. Without refined spaces nothing happens.
+
+        Returns:
+            Numbers of points that split and of families that merged, and changes of energies.
+        """
+        return adapt(self)
 
     def _check_still_valid(self) -> None:
         """Check that no other problem has moved rigid bodies or grid lines.

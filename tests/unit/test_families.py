@@ -9,7 +9,6 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import FieldShapeError, ParameterError, PointsOutsideGridError
 
 KINDS = ("plane", "axisymmetric", "solid")
 
@@ -35,8 +34,9 @@ def body(kind, seed=0, affine=""):
     points.add_field("velocity", (d,), "m/s")
     points["velocity"] = rng.normal(size=(n, d))
     if affine:
-        name, unit = ("velocity_moment", "m^2/s") if affine == "apic" else (
-            "velocity_gradient", "1/s")
+        name, unit = (
+            ("velocity_moment", "m^2/s") if affine == "apic" else ("velocity_gradient", "1/s")
+        )
         points.add_field(name, (d, d), unit)
         points[name] = rng.normal(size=(n, d, d))
     return points
