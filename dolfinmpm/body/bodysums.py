@@ -60,8 +60,9 @@ def sums_of(points: MaterialPoints) -> BodySums:
     v = read("velocity") if "velocity" in points.fields else np.zeros((len(points), d))
     kinetic = 0.5 * m @ np.sum(v**2, axis=1)
     more = 3 - d
-    spin = np.cross(*(np.pad(a, ((0, 0), (0, more))) for a in (read("x"), v)))
-    B = np.zeros((len(points), d, d))
+    place, speed = (np.pad(a, ((0, 0), (0, more))) for a in (read("x"), v))
+    spin = np.cross(place, speed)
+    B: Array = np.zeros((len(points), d, d))
     if "velocity_gradient" in points.fields and "velocity" in points.fields:
         L = read("velocity_gradient")
         B = L @ second_moments(in_section(points, read("F")), first_halves(points))

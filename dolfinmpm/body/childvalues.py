@@ -69,8 +69,9 @@ def seats(names: Mapping[str, Any], surface: str) -> list[str]:
 def at_corners(points: MaterialPoints, name: str) -> bool:
     """Whether a field has one value per corner of a point's domain, such as forces of contact."""
     field = points.symbols.fields.get(name)
-    corners = field is not None and field.ufl_shape[:1] == (2**points.gdim,)
-    return corners and field.unit in ("N", "N/m", "m")
+    if field is None or field.ufl_shape[:1] != (2**points.gdim,):
+        return False
+    return field.unit in ("N", "N/m", "m")
 
 
 def children(points: MaterialPoints, rows: Rows) -> Children:

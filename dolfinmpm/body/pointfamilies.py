@@ -230,10 +230,8 @@ def merge(
     check_points(points)
     comm, d = points.comm, points.gdim
     tolerance = number("tolerance", tolerance, 0.0)
-    if allowed is None:
-        ready = np.ones(len(points), bool)
-    else:
-        ready = call_together(comm, lambda: _booleans("allowed", points, allowed))
+    given = np.ones(len(points), bool) if allowed is None else allowed
+    ready = call_together(comm, lambda: _booleans("allowed", points, given))
     ready &= levels_of(points["id"], d) > 0
     rows, gathered = _complete(points, np.flatnonzero(ready))
     siblings = _in_order(points, gathered)
@@ -285,9 +283,9 @@ def _complete(points: MaterialPoints, rows: npt.NDArray[np.intp]) -> tuple[Numbe
     shared = np.isin(of, complete)
     # the last entry of a family is that of its home
     order = np.lexsort((-ranks, have, there))
-    home = dict(zip(there[order].tolist(), ranks[order].tolist()))
+    home = {int(parent): int(rank) for parent, rank in zip(there[order], ranks[order])}
     to = np.full(len(rows), comm.rank, np.int32)
-    to[shared] = [home[parent] for parent in of[shared].tolist()]
+    to[shared] = [home[int(parent)] for parent in of[shared]]
     mine = whole | shared
     gathered = {name: a[rows[mine]] for name, a in points.fields.items()}
     if len(complete):

@@ -101,7 +101,7 @@ def _mean(values: Array, weights: Array) -> Array:
 def _same(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     """Families whose siblings have the same values, shape (families,)."""
     equal = (values == values[:, :1]) | ((values != values) & (values[:, :1] != values[:, :1]))
-    return np.asarray(equal.reshape(len(values), values.shape[1], -1).all(axis=(1, 2)), bool)
+    return np.asarray(equal.all(axis=tuple(range(1, values.ndim))), bool)
 
 
 def _logarithm(tensors: Array) -> Array:
