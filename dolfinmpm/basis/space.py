@@ -208,11 +208,11 @@ class Space:
             are exact sums of finer ones. A pressure and a displacement on such nested grids are a
             stable pair. Ghost facets, fill fractions and roots are those of the coarse cells.
             Needs a rectangular grid, graded or not.
-        domains: Growth of the points' domains if the basis averages; with linear functions, of the
-            domains whose corners touch rigid bodies. "stretch" stretches them by
+        domains: Growth of the points' domains if the basis averages. "stretch" stretches them by
             diag U with U = √(FᵀF), so that they go on to tile a stretched body. "volume"
             stretches them by J^(1/d). "fixed" keeps them. The last two are for flow: there F
-            grows without bound and no longer tells the shape of a point's volume.
+            grows without bound and no longer tells the shape of a point's volume. With linear
+            functions they say where points touch rigid bodies in quasi-static steps.
         tag: Tags of the points of the field, one or several; None means all points. A field with
             tags exists only where its points are. It has its own active cells, ghost facets and
             constraints. Several displacement fields that divide the points by tags each move

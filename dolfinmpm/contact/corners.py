@@ -1,11 +1,11 @@
 """Contact points of a body of material points: corners of the points' domains or of marked faces.
 
 A corner is a quadrature point of contact, with its own stencil. There are two kinds of corners.
-Corners of domains are at x ± l, where l grows as `Space(domains=...)` says. Corners of the material
-are at x + F R with R = ±l0, and turn and shear with the points. Then neighbours share their corners
-when a body bends, and a bent surface has no steps. In large shear a corner of the material is far
-from its point. Bases without domains have corners of the material in steps in time and in the total
-configuration.
+Corners of domains are at x ± l, where a basis averages over the domains (GIMP, averaged splines).
+Corners of the material are at x + F R with R = ±l0, and turn and shear with the points. Then
+neighbours share their corners when a body bends, and a bent surface has no steps. In large shear a
+corner of the material is far from its point. Bases without domains have corners of the material. In
+quasi-static steps `Space(domains="volume")` and "fixed" give them corners at x ± l too, for flow.
 
 If the basis has domains, a corner uses the functions at its position, in a cell that the domain
 overlaps. Its nodes are nodes of its point. So contact makes no further nodes active and adds no
@@ -158,9 +158,9 @@ class Sites:
         placed = not (self._middles or sight.total) and sight.basis.averaged
         self.boxes = placed and not material
         self._placed = placed and sight.growth is None
-        # material that shears without bound leads its corners away from where its volume is
+        # material that flows leads its corners away from where its volume is
         own = surface is None and not (material or sight.total or sight.basis.averaged)
-        self._beside = own and sight.growth is None
+        self._beside = own and sight.growth is None and sight.domains != "stretch"
         signs = _signs(points.gdim)
         self.which: Rows = np.arange(1 if self._middles else len(signs))
         if surface is not None and surface.normal is not None:
