@@ -1,12 +1,12 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
-from dolfinmpm._platform.collector import idle_collector as _idle_collector
+from dolfinmpm._platform.garbagecollector import idle_collector as _idle_collector
 
 with _idle_collector():
-    from dolfinmpm._platform import start as _start  # noqa: F401 # isort: skip
+    from dolfinmpm._platform import startup as _startup  # noqa: F401 # isort: skip
     from dolfinmpm import materials, study
     from dolfinmpm._platform import errors
-    from dolfinmpm._platform.report import info
+    from dolfinmpm._platform.installation import info
     from dolfinmpm._platform.stages import measure_stages
     from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
     from dolfinmpm.basis.space import Space
@@ -14,7 +14,7 @@ with _idle_collector():
     from dolfinmpm.body.boundary import Boundary
     from dolfinmpm.body.filling import fill
     from dolfinmpm.body.footing import RigidFooting
-    from dolfinmpm.body.meshparts import partitioner
+    from dolfinmpm.body.meshpartition import partitioner
     from dolfinmpm.body.points import MaterialPoints, PointChange
     from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
@@ -37,7 +37,7 @@ with _idle_collector():
     from dolfinmpm.forms.termqueries import stiffness_per_area
     from dolfinmpm.grid.graded import create_lattice, zoned_line
     from dolfinmpm.grid.lattice import cell_size
-    from dolfinmpm.io import ParaView, figure, plot
+    from dolfinmpm.io import Film, ParaView, animate, figure, plot
     from dolfinmpm.io.history import History
     from dolfinmpm.io.progress import steps
     from dolfinmpm.kinematics import (
@@ -65,6 +65,7 @@ __all__ = [
     "Deposit",
     "Disc",
     "Explicit",
+    "Film",
     "Fluid",
     "GeneralisedAlpha",
     "History",
@@ -89,6 +90,7 @@ __all__ = [
     "Where",
     "absorbing",
     "acceleration",
+    "animate",
     "carried",
     "cell_size",
     "contact",

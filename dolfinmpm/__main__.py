@@ -2,7 +2,7 @@
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.report import info
+from dolfinmpm._platform.installation import info
 
 if __name__ == "__main__":
     report = info()

@@ -109,13 +109,13 @@ def figures_of(script, *options, ranks=1, timeout=LIMIT):
     whose imports are paid for already.
     """
     if ranks == 1:
-        return json.loads(_run_here(ROOT / script, options).strip().splitlines()[-1])
+        return json.loads(run_here(ROOT / script, options).strip().splitlines()[-1])
     done = start(script, *options, ranks=ranks, timeout=timeout)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
-def _run_here(script, options):
+def run_here(script, options):
     """What a script prints that runs as the main program of this process."""
     printed, argv, path, known = io.StringIO(), sys.argv, list(sys.path), set(sys.modules)
     sys.argv = [str(script), *options]

@@ -81,7 +81,7 @@ RAW = {
         lambda s: soil(s, permeability=lambda x: x[0]),
         "permeability, a function, failed with TypeError.* volume ratio J and the porosity n",
     ),
-    "permeability: nan": (lambda s: soil(s, permeability=np.nan), "nan is what a computation leav"),
+    "permeability: nan": (lambda s: soil(s, permeability=np.nan), "nan is the result of a failed"),
     "permeability: nan in it": (
         lambda s: soil(s, permeability=((1.0, 0.0), (0.0, np.nan))), "must be finite",
     ),
@@ -129,7 +129,7 @@ RAW = {
     ),
     "boundary: clockwise at the edge": (
         lambda s: boundary(s, (0, 0), (0, 1), (2, 1), (2, 0)),
-        r"lies on the grid's edge .* points into the grid.* turn them round",
+        r"lies on the grid's edge .* points into the grid.* give vertices",
     ),
     "boundary: backwards at the edge": (
         lambda s: boundary(s, (4, 0), (0, 0), closed=False), r"vertices\[::-1\]",

@@ -24,6 +24,8 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import benchmark_costs as costs
 import benchmark_growth
 import benchmark_peers
@@ -31,68 +33,71 @@ import benchmark_plastic
 import benchmark_plots
 import benchmark_scenes as scenes
 from mpi4py import MPI
-from scene import finish, parser, say
-
-
-def words(text):
-    """Words on the command line, by commas."""
-    return text.split(",") if text else []
+from options import Options, option
+from scene import finish, say
 
 
 def whole(text):
     """Whole numbers on the command line, by commas; 1e6 is one."""
-    return [int(float(word)) for word in words(text)]
+    return [int(float(word)) for word in text.split(",") if word]
 
 
-options = parser("Time against error, growth, other codes, and times and memory of parts.")
-options.add_argument("--quick", action="store_true", help="small sizes, one run of each")
-options.add_argument("--repeat", type=int, help="counted runs of each case; 5, and 3 of scenes")
-options.add_argument("--cases", default="1x64,16x256", help="columns x elements, by commas")
-options.add_argument(
-    "--bases", help="of cases gimp,linear by default; of scenes all that they have"
-)
-options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
-options.add_argument(
-    "--stabilisations",
-    help='stabilisations to time against each other, by commas, or "all"; none by default',
-)
-options.add_argument("--laws", action="store_true", help="million points a second of each law")
-options.add_argument("--facets", action="store_true", help="assembly of the ghost penalty a facet")
-options.add_argument(
-    "--plastic", type=int, default=0, metavar="CELLS", help="a metre of a block of Mohr–Coulomb "
-    "sand in implicit steps; 80 are 30 720 points; not run by default"
-)  # fmt: skip
-options.add_argument("--scenes", type=words, default=list(scenes.SCENES), help="by commas")
-options.add_argument("--refinements", type=int, help="of each scene, from the coarsest; all")
-options.add_argument("--densities", type=int, help="numbers of points a cell of each scene; all")
-options.add_argument(
-    "--growth", type=words, default=list(benchmark_growth.WITH), help="with which, by commas"
-)
-options.add_argument("--explicit-points", type=whole, default=[10**k for k in range(3, 8)])
-options.add_argument(
-    "--implicit-points", type=whole, default=[10**k for k in range(3, 7)], help="2 kB a point, "
-    "factors or multigrid: 6 GB for the last"
-)  # fmt: skip
-options.add_argument(
-    "--solid-points", type=whole, default=[160_000, 400_000, 1_000_000], help="of cubes, implicit: "
-    "2 kB per point, 7 kB with GIMP"
-)  # fmt: skip
-options.add_argument("--fixed-points", type=int, default=40_000, help="of growth with cells, ranks")
-options.add_argument("--ranks", type=whole, default=[1, 2, 4, 8], help="more than processors too")
-options.add_argument("--peers", action="store_true", help="Kratos on the column")
-args = options.parse_args()
-unknown = {*args.scenes} - {*scenes.SCENES} | {*args.growth} - {*benchmark_growth.WITH}
-if unknown:
-    options.error(f"not known: {', '.join(sorted(unknown))}")
-if MPI.COMM_WORLD.size > 1:
-    options.error("it starts processes of its own: run it on one rank")
+@dataclass
+class Input(Options):
+    """Time against error, growth, other codes, and times and memory of parts."""
+
+    quick: bool = option(False, "small sizes, one run of each")
+    repeat: int | None = option(None, "counted runs of each case; 5, and 3 of scenes")
+    cases: str = option("1x64,16x256", "columns x elements, by commas")
+    bases: str | None = option(
+        None, "of cases gimp,linear by default; of scenes all that they have"
+    )
+    ghost: str = option("none", choices=("none", "literal", "scaled"))
+    stabilisations: str | None = option(
+        None, 'stabilisations to time against each other, by commas, or "all"; none by default'
+    )
+    laws: bool = option(False, "million points a second of each law")
+    facets: bool = option(False, "assembly of the ghost penalty a facet")
+    plastic: int = option(
+        0,
+        "a metre of a block of Mohr–Coulomb "
+        "sand in implicit steps; 80 are 30 720 points; not run by default",
+        metavar="CELLS",
+    )
+    scenes: list[str] = option(list(scenes.SCENES), "by commas", choices=tuple(scenes.SCENES))
+    refinements: int | None = option(None, "of each scene, from the coarsest; all")
+    densities: int | None = option(None, "numbers of points a cell of each scene; all")
+    growth: list[str] = option(
+        list(benchmark_growth.WITH), "with which, by commas", choices=benchmark_growth.WITH
+    )
+    explicit_points: list[int] = option([10**k for k in range(3, 8)], type=whole)
+    implicit_points: list[int] = option(
+        [10**k for k in range(3, 7)],
+        "2 kB a point, factors or multigrid: 6 GB for the last",
+        type=whole,
+    )
+    solid_points: list[int] = option(
+        [160_000, 400_000, 1_000_000],
+        "of cubes, implicit: 2 kB per point, 7 kB with GIMP",
+        type=whole,
+    )
+    fixed_points: int = option(40_000, "of growth with cells, ranks")
+    ranks: list[int] = option([1, 2, 4, 8], "more than processors too", type=whole)
+    peers: bool = option(False, "Kratos on the column")
+
+    def _check(self):
+        if MPI.COMM_WORLD.size > 1:
+            raise ValueError("it starts processes of its own: run it on one rank")
+
+
+args = Input.parse()
 bases = args.bases.split(",") if args.bases else None
 given, args.bases = args.repeat, args.bases or "gimp,linear"
 args.repeat = given or (1 if args.quick else 5)
 if args.quick:
     args.explicit_points, args.implicit_points = [1_000, 10_000], [1_000, 4_000]
     args.solid_points, args.fixed_points, args.ranks = [1_000, 4_000], 2_000, [1, 2]
-    if args.cases == options.get_default("cases"):
+    if args.cases == Input.cases:
         args.cases = "1x16"
 
 # %% [markdown]

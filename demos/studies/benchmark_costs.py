@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from benchmark_scenes import compaction
-from dolfinx import mesh
-from mpi4py import MPI
+from grids import box_grid
 from scene import say
 
 import dolfinmpm as mpm
@@ -186,9 +185,7 @@ def time_facets(args):
     """
     facets: dict[str, float] = {}
     for basis in args.bases.split(",") if args.facets else ():
-        grid = mesh.create_rectangle(
-            MPI.COMM_WORLD, [(0, 0), (200, 200)], (200, 200), mesh.CellType.quadrilateral
-        )
+        grid = box_grid([(0, 0), (200, 200)], (200, 200))
         body = mpm.Where(lambda x: ((x[0] // 4 + x[1] // 4) % 2 == 0) & (x.max(axis=0) < 199))
         points = mpm.fill(grid, body, 2, 1.0)
         V = mpm.Space(grid, basis)

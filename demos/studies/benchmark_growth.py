@@ -13,15 +13,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
+from options import Options, option
 from petsc4py import PETSc
-from scene import finish, numbers, parser, say, stage_seconds
+from scene import finish, say, stage_seconds
 
 import dolfinmpm as mpm
 
@@ -46,7 +49,6 @@ def block(kind: str, count: int, room: int):
     It is a square, or of kinds "solid" and "solid-gimp" a cube, whose steps are implicit too. Of
     kind "aggregated" its upper faces cut the cells.
     """
-    comm = MPI.COMM_WORLD
     d = 3 if kind in SOLIDS else 2
     cells = max(2, round(count ** (1 / d) / 2))
     h = 1.0 / cells
@@ -54,10 +56,7 @@ def block(kind: str, count: int, room: int):
     needed = cells + 4
     side = round(needed * room ** (1 / d))
     low, high = [-2 * h] * d, [(side - 2) * h] * d
-    if d == 2:
-        grid = mesh.create_rectangle(comm, [low, high], [side] * d, mesh.CellType.quadrilateral)
-    else:
-        grid = mesh.create_box(comm, [low, high], [side] * d, mesh.CellType.hexahedron)
+    grid = box_grid([low, high], [side] * d)
     aggregated = kind == "aggregated"
     points = mpm.fill(grid, mpm.Box((0,) * d, (1 + 0.3 * h * aggregated,) * d), 2, 1000.0)
     basis = {"explicit": "bspline2", "solid": "linear"}.get(kind, "gimp")
@@ -267,13 +266,16 @@ def growth(args: Any) -> dict[str, Any]:
     return found
 
 
+@dataclass
+class Input(Options):
+    """One case of the growth of time with points, cells and ranks."""
+
+    case: str = option("explicit", choices=KINDS)
+    points: int = option(10_000, "about so many")
+    room: list[int] = option([1], "times the grid that the body needs; in turn")
+    calls: int = option(5, "that are timed, see STEPS_A_CALL")
+
+
 if __name__ == "__main__":
-    options = parser("One case of the growth of time with points, cells and ranks.")
-    options.add_argument("--case", choices=KINDS, default="explicit")
-    options.add_argument("--points", type=int, default=10_000, help="about so many")
-    options.add_argument(
-        "--room", type=numbers(int), default=[1], help="times the grid that the body needs; in turn"
-    )
-    options.add_argument("--calls", type=int, default=5, help="that are timed, see STEPS_A_CALL")
-    args = options.parse_args()
+    args = Input.parse()
     finish(args, one_case(args))

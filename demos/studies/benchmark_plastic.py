@@ -6,8 +6,8 @@ import statistics
 import time
 
 import ufl
-from dolfinx import fem, mesh
-from mpi4py import MPI
+from dolfinx import fem
+from grids import box_grid
 from scene import say
 
 import dolfinmpm as mpm
@@ -28,9 +28,7 @@ def block(cells, basis, kind):
         The problem, and a function that takes its k-th step, k = 1, 2, ...
     """
     size = round(3 * cells), round(1.5 * cells)
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (3, 1.5)], size, mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (3, 1.5)], size)
     points = mpm.fill(grid, mpm.Box((0, 0), (1.2, 1)), 2, 2000.0)
     V = mpm.Space(grid, basis)
     u, v = V.increment, V.test

@@ -16,7 +16,8 @@ import footing as footings
 import numpy as np
 import ufl
 import vortex as vortices
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from scene import say, stage_seconds
 
@@ -88,12 +89,7 @@ class Run:
 def compaction(columns, elements, basis, per_cell=2, stabilisation="none", law=None, ghost=None):
     """The column of `column_compaction.py`: its problem, and its gravity (m/s²)."""
     h, E = 50.0 / elements, 10e3
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD,
-        [(0, 0), (columns * h, 50)],
-        (columns, elements),
-        mesh.CellType.quadrilateral,
-    )
+    grid = box_grid([(0, 0), (columns * h, 50)], (columns, elements))
     body = mpm.Box((0, 0), (columns * h, 50))
     points = mpm.fill(grid, body, per_cell=per_cell, density=80.0)
     V = mpm.Space(grid, basis)
@@ -132,7 +128,7 @@ def cantilever(run: Run) -> None:
     """Large deflection; distance of the tip from that of conforming elements, by the length."""
     steps = 25
     words = ["--h", str(run.level), "--points-per-cell", str(run.per_cell)]
-    beam = beams.Beam(beams.arguments([*words, "--basis", run.basis]), run.stabilisation)
+    beam = beams.Beam(beams.Input.parse([*words, "--basis", run.basis]), run.stabilisation)
 
     def go() -> float:
         for k in range(steps):
@@ -147,7 +143,7 @@ def footing(run: Run) -> None:
     """Prandtl's limit load."""
     words = ["--law", "tresca-perfect", "--h", str(run.level), "--basis", run.basis]
     words += ["--points-per-cell", str(run.per_cell), "--stabilisation", run.stabilisation]
-    args = footings.arguments(words)
+    args = footings.Input.parse(words)
     scene = footings.Scene(args)
 
     def go() -> float:
@@ -161,7 +157,7 @@ def footing(run: Run) -> None:
 def collapse(run: Run) -> None:
     """Explicit collapse of sand; the surface at rest against the measured one, by the height."""
     words = ["--h", str(run.level), "--basis", run.basis, "--stabilisation", run.stabilisation]
-    args = collapses.arguments([*words, "--points-per-cell", str(run.per_cell)])
+    args = collapses.Input.parse([*words, "--points-per-cell", str(run.per_cell)])
     points, problem = collapses.problem_of(args, "explicit", run.basis, True, "large")
 
     def go() -> float:
@@ -176,7 +172,9 @@ def vortex(run: Run) -> None:
     """A ring turns within itself, by the implicit consistent mass or explicitly; positions."""
     words = ["--points-per-cell", str(run.per_cell), "--cells", str(int(run.level))]
     explicit = run.stabilisation == "explicit"
-    args = vortices.arguments(words + ([] if explicit else ["--stabilisation", run.stabilisation]))
+    args = vortices.Input.parse(
+        words + ([] if explicit else ["--stabilisation", run.stabilisation])
+    )
     kind = "explicit" if explicit else "implicit"
     figures, _ = vortices.ring(args, kind, run.basis, int(run.level))
     run.error, run.stages = figures["displacement"], figures["stages"]

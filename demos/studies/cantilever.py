@@ -26,14 +26,17 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import Options, natural, option, positive
+from scene import draw_points, fibre_stress, finish, outline_of_beam, say, solver_figures
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
@@ -71,32 +74,28 @@ def elastica_tip(alpha):
     return 1 - x[-1], y[-1]
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A cantilever under a dead load at its tip.")
-    options.add_argument("--h", type=float, default=0.25, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=6, help="in each direction")
-    options.add_argument("--steps", type=int, default=50)
-    options.add_argument("--modulus", type=float, default=12e6, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.2)
-    options.add_argument("--load", type=float, default=100e3, help="downwards (N/m)")
-    options.add_argument("--length", type=float, default=10.0, help="m")
-    options.add_argument("--depth", type=float, default=1.0, help="m")
-    options.add_argument("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
-    options.add_argument("--factor", type=float, default=1.0, help="ghost penalty in units of E/30")
-    options.add_argument(
-        "--stages",
-        type=float,
-        nargs="+",
-        default=[1.0, 2.0, 4.0, 6.0, 8.0, 10.0],
-        help="values of PL²/EI to report and draw",
+@dataclass
+class Input(Options):
+    """A cantilever under a dead load at its tip."""
+
+    h: float = positive(0.25, "size of the cells (m)")
+    points_per_cell: int = natural(6, "in each direction")
+    steps: int = natural(50)
+    modulus: float = positive(12e6, "Young's modulus (Pa)")
+    poisson: float = 0.2
+    load: float = option(100e3, "downwards (N/m)")
+    length: float = option(10.0, "m")
+    depth: float = option(1.0, "m")
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    ghost: str = option("none", choices=("none", "literal", "scaled"))
+    factor: float = option(1.0, "ghost penalty in units of E/30")
+    stages: float = option(
+        [1.0, 2.0, 4.0, 6.0, 8.0, 10.0], "values of PL²/EI to report and draw", nargs="+"
     )
-    return options.parse_args(words)
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # The beam's axis is $y = 0$, and nodes, or the centres of splines, lie on it whatever the size
 # of the cells. The grid reaches as far as the elastica says that the beam will go, and a little
 # further.
@@ -140,11 +139,8 @@ class Beam:
         along = int(np.ceil(self.length / h)) + 2
         # quadratic splines have their centres in the middle of cells
         shift = 0.5 * h if args.basis == "bspline2" else 0.0
-        self.grid = grid = mesh.create_rectangle(
-            MPI.COMM_WORLD,
-            [(0, -below * h + shift), (along * h, above * h + shift)],
-            (along, below + above),
-            mesh.CellType.quadrilateral,
+        self.grid = grid = box_grid(
+            [(0, -below * h + shift), (along * h, above * h + shift)], (along, below + above)
         )
         beam = mpm.Box((0, -0.5 * depth), (self.length, 0.5 * depth))
         self.points = points = mpm.fill(grid, beam, per_cell=args.points_per_cell, density=1.0)
@@ -196,35 +192,18 @@ class Beam:
 # %%
 def picture(path, shapes, curve, stages, length, depth, downwards):
     """Draw the bent beam and the load-displacement curves."""
-    from matplotlib.collections import PolyCollection
-
-    fibre = {}
-    for alpha, (_, _, F, _, stress) in shapes.items():
-        t = F[:, :, 0] / np.linalg.norm(F[:, :, 0], axis=1, keepdims=True)
-        fibre[alpha] = np.einsum("pi,pij,pj->p", t, stress[:, :2, :2], t) / 1e6
+    fibre = {alpha: fibre_stress(F, stress) / 1e6 for alpha, (*_, F, _, stress) in shapes.items()}
     top = np.percentile(np.abs(fibre[max(fibre)]), 99.5)
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     with mpm.figure(path, 7.0, 3.1, ncols=2, width_ratios=(1.25, 1)) as (figure, (left, right)):
         for layer, (alpha, (x0, x, F, l0, _)) in enumerate(shapes.items(), start=3):
-            parts = x[:, None] + np.einsum("pij,cj,pj->pci", F, corners, l0)
-            drawn = PolyCollection(
-                [*parts], array=fibre[alpha], cmap="RdBu_r", clim=(-top, top), linewidths=0,
-                antialiased=False, snap=False, rasterized=True, zorder=layer,
-            )  # fmt: skip
-            left.add_collection(drawn)
-            rows = []
-            for end, sides in ((x0[:, 1].min(), (0, 1)), (x0[:, 1].max(), (3, 2))):
-                row = np.flatnonzero(np.isclose(x0[:, 1], end))
-                rows.append(parts[row[np.argsort(x0[row, 0])]][:, sides].reshape(-1, 2))
-            edge = np.vstack([rows[0], rows[1][::-1]])
-            left.plot(*edge.T, color="0.3", lw=0.4, zorder=layer)
+            look = {"cmap": "RdBu_r", "clim": (-top, top), "zorder": layer}
+            drawn = draw_points(left, x, F, l0, fibre[alpha], **look)
+            left.plot(*outline_of_beam(x0, x, F, l0).T, color="0.3", lw=0.4, zorder=layer)
             xE, yE = elastica(alpha)
             left.plot(xE * length, -downwards * yE * length, "k--", lw=0.6, zorder=layer)
         left.plot([], [], "k--", lw=0.6, label="elastica")
         box = np.array([(0, -1), (length, -1), (length, 1), (0, 1), (0, -1)]) * (1, 0.5 * depth)
         left.plot(*box.T, color="0.5", lw=0.6)
-        left.grid(visible=False)
-        left.set(aspect="equal", xlabel="$x$ (m)", ylabel="$y$ (m)")
         left.legend(loc="lower left" if downwards > 0 else "upper left")
         figure.colorbar(drawn, ax=left, label="stress along the fibres (MPa)")
         load = np.linspace(0, curve[-1, 0], 101)[1:]
@@ -245,7 +224,7 @@ def picture(path, shapes, curve, stages, length, depth, downwards):
 
 # %%
 if __name__ == "__main__":
-    args = arguments()
+    args = Input.parse()
     length, depth = args.length, args.depth
     scene = Beam(args)
     problem, points, comm, full = scene.problem, scene.points, scene.grid.comm, scene.full

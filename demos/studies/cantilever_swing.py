@@ -18,33 +18,37 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from motion import add_options, parse, problem_of, times_of
+from grids import box_grid
+from motion import Moving, problem_of, times_of
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import option, other_default, positive
+from scene import draw_points, fibre_stress, finish, outline_of_beam, say, solver_figures
 from scipy.optimize import brentq
 from scipy.sparse.linalg import spsolve
 
 import dolfinmpm as mpm
 
 
-def arguments():
-    """The command line."""
-    options = parser("A cantilever swings under gravity that acts in one go.")
-    options.add_argument("--length", type=float, default=4.0, help="m")
-    options.add_argument("--depth", type=float, default=1.0, help="m")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--density", type=float, default=1050.0, help="kg/m^2")
-    options.add_argument("--gravity", type=float, default=5.0, help="downwards (m/s^2)")
-    add_options(options, h=0.25)
-    options.add_argument("--duration", type=float, default=2.5, help="s")
-    return parse(options, courant=2.0)
+@dataclass
+class Input(Moving):
+    """A cantilever swings under gravity that acts in one go."""
+
+    length: float = option(4.0, "m")
+    depth: float = option(1.0, "m")
+    modulus: float = positive(1e6, "Young's modulus (Pa)")
+    poisson: float = 0.3
+    density: float = positive(1050.0, "kg/m^2")
+    gravity: float = option(5.0, "downwards (m/s^2)")
+    h: float = other_default(Moving, "h", 0.25)
+    duration: float = option(2.5, "s")
 
 
-args = arguments()
+args = Input.parse()
 comm = MPI.COMM_WORLD
 L, d, h, E, nu = args.length, args.depth, args.h, args.modulus, args.poisson
 speed = np.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / args.density)
@@ -79,7 +83,7 @@ def conforming(times):
     """Mean deflection (m) of the end face of conforming quadratic elements at equal times (s)."""
     cells = max(4, round(4 * L / d)), 4
     corners = [(0, -d / 2), (L, d / 2)]
-    grid = mesh.create_rectangle(MPI.COMM_SELF, corners, cells, mesh.CellType.quadrilateral)
+    grid = box_grid(corners, cells, MPI.COMM_SELF)
     space = fem.functionspace(grid, ("Lagrange", 2, (2,)))
     u, u0, v0 = (fem.Function(space) for _ in range(3))
     w, du = ufl.TestFunction(space), ufl.TrialFunction(space)
@@ -122,12 +126,7 @@ def conforming(times):
 
 # %%
 below, above, along = (int(np.ceil(size / h)) + 1 for size in (1.05 * L + d, d, L))
-grid = mesh.create_rectangle(
-    comm,
-    [(0, -below * h), (along * h, above * h)],
-    (along, below + above),
-    mesh.CellType.quadrilateral,
-)
+grid = box_grid([(0, -below * h), (along * h, above * h)], (along, below + above))
 beam = mpm.Box((0, -d / 2), (L, d / 2))
 points = mpm.fill(grid, beam, args.points_per_cell, args.density, aligned="body")
 V = mpm.Space(grid, args.basis)
@@ -195,29 +194,17 @@ say(f"energy that is missing: {figures['energy_gap']:.2%} of the work of gravity
 
 
 # %%
-def outline(x0, x, F, l0):
-    """Corners of the lowest and the highest row of points (m), from the support and back."""
-    rows = []
-    for y, side in ((x0[:, 1].min(), -1), (x0[:, 1].max(), 1)):
-        row = np.flatnonzero(np.isclose(x0[:, 1], y))
-        row = row[np.argsort(x0[row, 0])]
-        ends = np.array([(-1, side), (1, side)])
-        rows.append(x[row, None] + np.einsum("pij,cj,pj->pci", F[row], ends, l0[row]))
-    return np.vstack([rows[0].reshape(-1, 2), rows[1].reshape(-1, 2)[::-1]])
-
-
 if not args.no_plot and comm.rank == 0:
     with mpm.figure(
         args.output / "cantilever_swing.png", 7.0, 3.0, ncols=2, width_ratios=(1, 1.2)
     ) as (whole, (left, right_ax)):
         at = min(shapes, key=lambda t: abs(t - time))
         _, x, G, l0, stress = shapes[at]
-        fibre = G[:, :, 0] / np.linalg.norm(G[:, :, 0], axis=1, keepdims=True)
-        along = np.einsum("pi,pij,pj->p", fibre, stress[:, :2, :2], fibre) / 1e3
+        along = fibre_stress(G, stress) / 1e3
         top = np.percentile(np.abs(along), 99.5)
         drawn = draw_points(left, x, G, l0, along, cmap="RdBu_r", clim=(-top, top), zorder=2)
         for passed in [t for t in shapes if t < 0.8 * at][2::4]:
-            edge = outline(*shapes[passed][:4])
+            edge = outline_of_beam(*shapes[passed][:4])
             left.plot(*edge.T, color="0.55", lw=0.6, zorder=1)
             corner = edge[len(edge) // 2]
             left.annotate(f" {passed:.1f} s", corner, fontsize=6, color="0.4", va="center")

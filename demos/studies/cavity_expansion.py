@@ -3,7 +3,7 @@
 #
 # A pressure widens a cavity of radius $a = 1$ in an elastic shell (Hencky), or in clay
 # (Hencky and Tresca), whose outer face at $b$ is free or, with `--outer inf`, infinitely far away.
-# Cones, piles and pressuremeters are judged by it. Both are bodies of revolution: a long
+# Cones, piles and pressuremeters are judged by it. Both are axisymmetric: a long
 # cylinder is a slice between smooth plates, a sphere a quarter of its section. In the sphere
 # nothing is aligned with the grid; the axis is no boundary of the body.
 #
@@ -18,13 +18,15 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import BASES, Options, natural, option, positive, switch
+from scene import finish, say, solver_figures
 from shells import HenckyShell, TrescaCavity, shell
 
 import dolfinmpm as mpm
@@ -36,46 +38,39 @@ DEFAULTS = {
 }
 
 
-def arguments():
-    """The command line; what is not given takes the law's value in DEFAULTS."""
-    options = parser("Expansion of a cylindrical or spherical cavity.")
-    options.add_argument("--shape", choices=("cylinder", "sphere"), default="cylinder")
-    options.add_argument("--law", choices=tuple(DEFAULTS), default="hencky")
-    options.add_argument("--poisson", type=float, help="Poisson's ratio; by the law")
-    options.add_argument("--rigidity-index", type=float, default=100.0, help="G/c_u of clay")
-    options.add_argument("--outer", type=float, help="outer radius by the inner one, or inf")
-    options.add_argument("--ratio", type=float, default=1.5, help="r(a)/a at the end")
-    options.add_argument(
-        "--h", type=float, help="size of the cells at the cavity; by default a 16th of the wall, "
-        "and no more than an 8th of the cavity's radius in clay"
-    )  # fmt: skip
-    options.add_argument("--growth", type=float, default=1.12, help="of cells far from the cavity")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="bspline2"
+@dataclass
+class Input(Options):
+    """Expansion of a cylindrical or spherical cavity."""
+
+    shape: str = option("cylinder", choices=("cylinder", "sphere"))
+    law: str = option("hencky", choices=tuple(DEFAULTS))
+    poisson: float | None = option(None, "Poisson's ratio; by the law", least=0, below=0.5)
+    rigidity_index: float = option(100.0, "G/c_u of clay", above=0)
+    outer: float | None = option(None, "outer radius by the inner one, or inf", above=1)
+    ratio: float = option(1.5, "r(a)/a at the end", above=1)
+    h: float | None = positive(
+        None,
+        "size of the cells at the cavity; by default a 16th of the wall, "
+        "and no more than an 8th of the cavity's radius in clay",
     )
-    options.add_argument("--configuration", choices=("total", "updated"), default="total")
-    options.add_argument("--fbar", choices=("on", "off"), help="against locking; by the law")
-    options.add_argument("--stabilisation", choices=("ghost", "aggregation"), default="ghost")
-    options.add_argument("--steps", type=int, default=20, help="of equal growth of the cavity")
-    given = options.parse_args()
-    for name, value in DEFAULTS[given.law].items():
-        if getattr(given, name) is None:
-            setattr(given, name, value)
-    if not given.outer > 1:
-        options.error(f"outer = {given.outer:g} must be above 1, the inner radius")
-    if given.law == "hencky" and not np.isfinite(given.outer):
-        options.error("outer = inf is for clay: what is far away is taken for incompressible")
-    if not given.ratio > 1 or given.steps < 1 or given.points_per_cell < 1:
-        options.error("ratio must be above 1, steps and points-per-cell at least 1")
-    if not 0 <= given.poisson < 0.5 or not given.rigidity_index > 0 or not given.growth >= 1:
-        options.error("poisson must be in [0, 0.5), the rigidity index positive, growth at least 1")
-    if given.h is None:
-        wall = given.outer - 1 if np.isfinite(given.outer) else np.inf
-        given.h = min(wall / 16, 0.125 if given.law == "tresca" else 1.0)
-    if not 0 < given.h <= min(1.0, 0.5 * (given.outer - 1)):
-        options.error(f"h = {given.h:g} must be positive and at most half the wall, and 1")
-    return given
+    growth: float = option(1.12, "of cells far from the cavity", least=1)
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("bspline2", choices=BASES)
+    configuration: str = option("total", choices=("total", "updated"))
+    fbar: str | None = switch(None, "against locking; by the law")
+    stabilisation: str = option("ghost", choices=("ghost", "aggregation"))
+    steps: int = natural(20, "of equal growth of the cavity")
+
+    def _check(self):
+        self.fill(**DEFAULTS[self.law])
+        if self.law == "hencky" and not np.isfinite(self.outer):
+            raise ValueError(
+                "outer = inf is for clay: what is far away is taken for incompressible"
+            )
+        wall = self.outer - 1 if np.isfinite(self.outer) else np.inf
+        self.fill(h=min(wall / 16, 0.125 if self.law == "tresca" else 1.0))
+        if not self.h <= min(1.0, 0.5 * (self.outer - 1)):
+            raise ValueError(f"h = {self.h:g} must be at most half the wall, and 1")
 
 
 # %% [markdown]
@@ -85,7 +80,7 @@ def arguments():
 # one size out to twice the cavity's radius and grow from there if the body is large.
 
 # %%
-args = arguments()
+args = Input.parse()
 elastic, infinite = args.law == "hencky", not np.isfinite(args.outer)
 exact = (
     HenckyShell(args.shape, args.poisson, args.outer) if elastic else

@@ -13,13 +13,15 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 from dolfinx import fem
-from footing import lines, rectangle
-from scene import draw_points, finish, parser, say, solver_figures
+from grids import grid_of_lines, lines
+from options import Options, natural, option, positive, switch
+from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -27,47 +29,39 @@ RADIUS, COHESION = 1.0, 10e3  # m, Pa
 FACTORS = {"off": 5.69, "on": 6.05}
 
 
-def arguments():
-    """The command line."""
-    options = parser("A rigid circular footing on clay.")
-    options.add_argument("--rough", choices=tuple(FACTORS), default="off", help="no slip under it")
-    options.add_argument("--h", type=float, default=0.025, help="size of the cells at its edge (m)")
-    options.add_argument("--coarsest", type=float, default=0.25, help="far from there (m)")
-    options.add_argument("--width", type=float, default=4.0, help="radius of the ground (m)")
-    options.add_argument("--depth", type=float, default=2.5, help="of the ground (m)")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    options.add_argument("--fbar", choices=("on", "off"), default="on", help="against locking")
-    options.add_argument("--modulus", type=float, default=1e9, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.33)
-    options.add_argument("--steps", type=int, default=20)
-    options.add_argument("--settlement", type=float, default=4e-4, help="at the end (m)")
-    options.add_argument(
-        "--stabilisation", choices=("none", "ghost", "aggregation"), default="aggregation"
-    )
-    given = options.parse_args()
-    if not 0 < given.h <= 0.5 or not given.coarsest > 0:
-        options.error(f"h = {given.h:g} m must be positive and at most 0.5 m, coarsest positive")
-    if not given.width >= 2 * RADIUS or not given.depth >= RADIUS:
-        options.error("width must be at least 2 m, depth at least 1 m")
-    if given.steps < 1 or given.points_per_cell < 1 or not given.settlement > 0:
-        options.error("steps and points-per-cell must be at least 1, the settlement positive")
-    given.coarsest = max(given.h, given.coarsest)
-    return given
+@dataclass
+class Input(Options):
+    """A rigid circular footing on clay."""
+
+    rough: str = option("off", "no slip under it", choices=tuple(FACTORS))
+    h: float = positive(0.025, "size of the cells at its edge (m)", most=0.5)
+    coarsest: float = positive(0.25, "far from there (m)")
+    width: float = option(4.0, "radius of the ground (m)", least=2 * RADIUS)
+    depth: float = option(2.5, "of the ground (m)", least=RADIUS)
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    fbar: str = switch("on", "against locking")
+    modulus: float = positive(1e9, "Young's modulus (Pa)")
+    poisson: float = 0.33
+    steps: int = natural(20)
+    settlement: float = positive(4e-4, "at the end (m)")
+    stabilisation: str = option("aggregation", choices=("none", "ghost", "aggregation"))
+
+    def _check(self):
+        self.coarsest = max(self.h, self.coarsest)
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Cells grow away from the edge of the footing, where the stress jumps. The ground is so stiff that
 # it flows before its shape changes. Forces are those on the whole disc. What moves with the disc
 # is as wide as it and a part of the next cell, so that the load is too high by about h/B.
 
 # %%
-args = arguments()
+args = Input.parse()
 width, depth, rough = args.width, args.depth, args.rough == "on"
-grid = rectangle(
-    lines(width, RADIUS, args.h, args.coarsest),
-    lines(depth + 0.5, depth, args.h, args.coarsest),
+grid = grid_of_lines(
+    lines(width, RADIUS, args.h, args.coarsest), lines(depth + 0.5, depth, args.h, args.coarsest)
 )
 ground = mpm.Box((0, 0), (width, depth))
 points = mpm.fill(grid, ground, args.points_per_cell, 1000.0, axisymmetric=True)

@@ -17,53 +17,54 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from dolfinx import mesh
 from energybalance import EnergyBalance
-from motion import add_options, parse, problem_of, times_of
+from grids import box_grid
+from motion import Moving, problem_of, times_of
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import option, other_default, positive
+from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm
 
 
-def arguments():
-    """The command line."""
-    options = parser("Two elastic discs collide.")
-    options.add_argument("--radius", type=float, default=0.2, help="m")
-    options.add_argument(
-        "--distance", type=float, help="of centres (m), 3√2 times the radius by default"
-    )
-    options.add_argument("--modulus", type=float, default=1000.0, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--density", type=float, default=1000.0, help="kg/m^2")
-    options.add_argument("--speed", type=float, default=0.1 * np.sqrt(2), help="of each disc (m/s)")
-    add_options(options, h=None)
-    options.set_defaults(mass="lumped", mapping="flip")
-    options.add_argument("--duration", type=float, help="s, 16 s/m times the radius by default")
-    options.add_argument("--contact", choices=("none", "grid", "gap", "bodies"), default="none")
-    options.add_argument("--friction", type=float, default=0.0, help="with contact")
-    given = parse(options, courant=0.5, share=0.5)
-    if not given.radius > 0:
-        options.error(f"the radius is {given.radius:g} m, it must be positive")
-    # everything else grows with the discs
-    for name, size in (("distance", 3 * np.sqrt(2)), ("h", 0.25), ("duration", 16.0)):
-        if getattr(given, name) is None:
-            setattr(given, name, size * given.radius)
-    if not given.distance > 2 * given.radius:
-        options.error("the discs must be apart at first")
-    if given.contact == "bodies" and given.integrator == "explicit":
-        options.error("bodies with fields of their own take implicit steps: --integrator newmark")
-    if given.contact == "bodies" and given.stabilisation is None:
-        # rims reach into cells that no point is in
-        given.stabilisation = "aggregation" if given.mass == "aggregated" else "ghost"
-    collides = given.contact in ("grid", "gap")
-    if collides and (given.integrator, given.mass) != ("explicit", "lumped"):
-        options.error("contact at the grid's nodes is of explicit steps with a lumped mass")
-    return given
+@dataclass
+class Input(Moving):
+    """Two elastic discs collide."""
+
+    radius: float = positive(0.2, "m")
+    distance: float | None = option(None, "of centres (m), 3√2 times the radius by default")
+    modulus: float = positive(1000.0, "Young's modulus (Pa)")
+    poisson: float = 0.3
+    density: float = positive(1000.0, "kg/m^2")
+    speed: float = option(0.1 * np.sqrt(2), "of each disc (m/s)")
+    mass: str = other_default(Moving, "mass", "lumped")
+    mapping: str | None = other_default(Moving, "mapping", "flip")
+    duration: float | None = option(None, "s, 16 s/m times the radius by default")
+    contact: str = option("none", choices=("none", "grid", "gap", "bodies"))
+    friction: float = option(0.0, "with contact")
+
+    def _check(self):
+        R = self.radius
+        # everything else grows with the discs
+        self.fill(distance=3 * np.sqrt(2) * R, h=0.25 * R, duration=16.0 * R, courant=0.5)
+        if not self.distance > 2 * self.radius:
+            raise ValueError("the discs must be apart at first")
+        if self.contact == "bodies" and self.integrator == "explicit":
+            raise ValueError(
+                "bodies with fields of their own take implicit steps: --integrator newmark"
+            )
+        if self.contact == "bodies":
+            # rims reach into cells that no point is in
+            self.fill(stabilisation="aggregation" if self.mass == "aggregated" else "ghost")
+        collides = self.contact in ("grid", "gap")
+        if collides and (self.integrator, self.mass) != ("explicit", "lumped"):
+            raise ValueError("contact at the grid's nodes is of explicit steps with a lumped mass")
 
 
-args = arguments()
+args = Input.parse()
 comm, h, R = MPI.COMM_WORLD, args.h, args.radius
 E, nu = args.modulus, args.poisson
 wave = np.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / args.density)
@@ -71,18 +72,13 @@ along = np.array([1.0, 1.0]) / np.sqrt(2)
 touch = (0.5 * args.distance - R) / args.speed
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # The discs carry tags, by which their centres are found.
 
 # %%
 half = 0.5 * args.distance / np.sqrt(2) + R
 n = 2 * (int(np.ceil(half / h - 1e-9)) + 2)
-grid = mesh.create_rectangle(
-    comm,
-    [(-0.5 * n * h, -0.5 * n * h), (0.5 * n * h, 0.5 * n * h)],
-    (n, n),
-    mesh.CellType.quadrilateral,
-)
+grid = box_grid([(-0.5 * n * h, -0.5 * n * h), (0.5 * n * h, 0.5 * n * h)], (n, n))
 centres = -0.5 * args.distance * along, 0.5 * args.distance * along
 own = args.contact == "bodies"
 fields = [mpm.Space(grid, args.basis, tag=1 + k if own else None) for k in range(1 + own)]

@@ -26,104 +26,66 @@ from __future__ import annotations
 
 import itertools
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from collapse_pictures import MEASURED, PLACES, picture, variants_picture
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say
+from options import BASES, Options, natural, option, positive, switch
+from scene import finish, say
 
 import dolfinmpm as mpm
 
-# the surface at rest, and the line of failure (Bui and others 2008), x and y in m
-PLACES = np.array([0.04, 0.08, 0.12, 0.16, 0.20, 0.241, 0.282, 0.322, 0.362, 0.402, 0.442])
-MEASURED = np.array(
-    [0.0959, 0.0844, 0.0722, 0.0616, 0.0474, 0.0348, 0.0265, 0.0189, 0.0109, 0.0037, 0.0015]
-)
-CREST = 0.0992
-MEASURED_TOE = 0.434
-LINE = np.array(
-    [(0.021, 0.0989), (0.080, 0.0652), (0.120, 0.0368), (0.160, 0.0104), (0.179, 0.0005)]
-)
 COLUMN = 0.01
+STRAINS = "large", "small", "jaumann"
 TIMES = [0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5]
-BASES = ("linear", "gimp", "bspline2", "bspline3")
 
 
 # %%
-def words(*allowed):
-    """A list of words on the command line, by commas."""
+@dataclass
+class Input(Options):
+    """A column of sand collapses under its weight."""
 
-    def read(text):
-        found = text.split(",")
-        for word in found:
-            if word not in allowed:
-                raise ValueError(word)
-        return found
+    width: float = positive(0.2, "(m)")
+    height: float = positive(0.1, "(m)")
+    modulus: float = positive(0.84e6, "Young's (Pa)")
+    poisson: float = 0.3
+    friction_angle: float = option(21.9, "(degrees)")
+    density: float = positive(2040.0, "(kg/m³)")
+    gravity: float = option(10.0, "(m/s²)")
+    h: float = positive(0.005, "size of the cells (m)")
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=BASES)
+    domains: str = option("fixed", "how they grow", choices=("stretch", "volume", "fixed"))
+    fbar: str = switch("on")
+    means: str = option("auto", "F-bar's; see below", choices=("auto", "centres", "domains"))
+    strain: str = option("large", choices=STRAINS)
+    integrator: str = option("explicit", choices=("implicit", "explicit"))
+    law: str = option("mohr-coulomb", choices=("mohr-coulomb", "drucker-prager"))
+    duration: float = positive(0.607, "(s)")
+    times: list[float] = option(TIMES, "at which to measure (s), by commas", above=0)
+    scheme: str = option("musl", "explicit", choices=("musl", "usl", "usf"))
+    courant: float = option(0.8, "explicit: of the stable step")
+    dt: float = positive(5e-4, "implicit: step (s)")
+    mass: str = option("lumped", choices=("lumped", "consistent"))
+    mapping: str | None = option(None, "of velocities; see below")
+    stabilisation: str = option("none", "besides that of the mass")
+    full: bool = option(False, "115 200 points: E = 5.84 MPa, h = 2.5 mm, 6² a cell")
+    variants: bool = option(False, "all of the lists below")
+    integrators: list[str] = option(["implicit", "explicit"], choices=("implicit", "explicit"))
+    bases: list[str] = option(["linear", "gimp", "bspline2"], choices=BASES)
+    fbars: list[str] = option(["on", "off"], choices=("on", "off"))
+    strains: list[str] = option(list(STRAINS), choices=STRAINS)
 
-    return read
-
-
-def arguments(words_given=None):
-    """The command line."""
-    options = parser("A column of sand collapses under its weight.")
-    options.add_argument("--width", type=float, default=0.2, help="(m)")
-    options.add_argument("--height", type=float, default=0.1, help="(m)")
-    options.add_argument("--modulus", type=float, default=0.84e6, help="Young's (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--friction-angle", type=float, default=21.9, help="(degrees)")
-    options.add_argument("--density", type=float, default=2040.0, help="(kg/m³)")
-    options.add_argument("--gravity", type=float, default=10.0, help="(m/s²)")
-    options.add_argument("--h", type=float, default=0.005, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument("--basis", choices=BASES, default="gimp")
-    options.add_argument(
-        "--domains", choices=("stretch", "volume", "fixed"), default="fixed", help="how they grow"
-    )
-    options.add_argument("--fbar", choices=("on", "off"), default="on")
-    options.add_argument(
-        "--means", choices=("auto", "centres", "domains"), default="auto", help="F-bar's; see below"
-    )  # fmt: skip
-    options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
-    options.add_argument("--integrator", choices=("implicit", "explicit"), default="explicit")
-    options.add_argument(
-        "--law", choices=("mohr-coulomb", "drucker-prager"), default="mohr-coulomb"
-    )
-    options.add_argument("--duration", type=float, default=0.607, help="(s)")
-    options.add_argument(
-        "--times", type=numbers(float), default=TIMES, help="at which to measure (s), by commas"
-    )
-    options.add_argument(
-        "--scheme", choices=("musl", "usl", "usf"), default="musl", help="explicit"
-    )
-    options.add_argument("--courant", type=float, default=0.8, help="explicit: of the stable step")
-    options.add_argument("--dt", type=float, default=5e-4, help="implicit: step (s)")
-    options.add_argument("--mass", choices=("lumped", "consistent"), default="lumped")
-    options.add_argument("--mapping", help="of velocities; see below")
-    options.add_argument("--stabilisation", default="none", help="besides that of the mass")
-    options.add_argument(
-        "--full", action="store_true", help="115 200 points: E = 5.84 MPa, h = 2.5 mm, 6² a cell"
-    )
-    options.add_argument("--variants", action="store_true", help="all of the lists below")
-    options.add_argument(
-        "--integrators", type=words("implicit", "explicit"), default=["implicit", "explicit"]
-    )
-    options.add_argument("--bases", type=words(*BASES), default=["linear", "gimp", "bspline2"])
-    options.add_argument("--fbars", type=words("on", "off"), default=["on", "off"])
-    options.add_argument(
-        "--strains", type=words("large", "small", "jaumann"), default=["large", "small", "jaumann"]
-    )
-    given = options.parse_args(words_given)
-    if given.full:
-        given.modulus, given.h, given.points_per_cell = 5.84e6, 0.0025, 6
-    if min(given.width, given.height, given.h, given.duration, given.dt) <= 0:
-        options.error("lengths and times must be positive")
-    if given.points_per_cell < 1:
-        options.error("points-per-cell must be at least 1")
-    if given.times != sorted(given.times) or given.times[:1] <= [0.0]:
-        options.error("times must be positive and rise")
-    given.times = [t for t in given.times if t < given.duration] + [given.duration]
-    return given
+    def _check(self):
+        if self.full:
+            self.modulus, self.h, self.points_per_cell = 5.84e6, 0.0025, 6
+        if self.times != sorted(self.times):
+            raise ValueError("times must rise")
+        self.times = [t for t in self.times if t < self.duration] + [self.duration]
 
 
 # %% [markdown]
@@ -180,7 +142,7 @@ def problem_of(args, integrator, basis, fbar, strain):
     extent = 3.5 * args.width - first, 1.6 * args.height - first
     cells = [round(np.ceil(side / h - 1e-9)) for side in extent]
     corners = [first] * 2, [first + n * h for n in cells]
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+    grid = box_grid(corners, cells)
     sand = mpm.Box((0, 0), (args.width, args.height))
     points = mpm.fill(grid, sand, args.points_per_cell, args.density, aligned="body")
     V = mpm.Space(grid, basis, domains=args.domains)
@@ -328,76 +290,6 @@ def run(args, integrator, basis, fbar, strain, keep=()):
 
 
 # %% [markdown]
-# ## Pictures
-
-
-# %%
-def draw_measured(axes):
-    """The measured surface."""
-    look = {"color": "black", "ls": "none", "zorder": 4}
-    axes.plot([0, *PLACES], [CREST, *MEASURED], "o", ms=3, mfc="white", **look)
-    axes.lines[-1].set_label("measured")
-
-
-def picture(path, args, figures, states, profile):
-    """Draw snapshots, and the surface at rest against the measured one."""
-    reach, top = 1.03 * max(0.48, figures["toe"][-1]), 1.12 * args.height
-    rows = len(states) + 1
-    height = 0.6 + rows * (0.25 + 5.2 * top / reach)
-    with mpm.figure(path, 6.5, height, nrows=rows, sharex=True) as (whole, axes):
-        for ax, (t, (x, F, l0, strain)) in zip(axes, states):
-            # undeformed, and a little larger than they are: F of what flows tells nothing of shape
-            whole_squares = np.broadcast_to(np.eye(2), F.shape)
-            drawn = draw_points(ax, x, whole_squares, 1.4 * l0, strain, cmap="viridis", clim=(0, 5))
-            ax.text(0.98, 0.8, f"$t$ = {t:g} s", transform=ax.transAxes, ha="right")
-            ax.set(xlim=(0, reach), ylim=(0, top), xlabel="")
-        axes[-2].plot(*LINE.T, "x", ms=3.5, color="#D55E00", label="line of failure, measured")
-        axes[-2].legend(loc="center right")
-        bar = whole.colorbar(drawn, ax=[*axes[:-1]], extend="max", shrink=0.6, aspect=30)
-        bar.set_label("plastic strain")
-        last = axes[-1]
-        x, y = np.append(0.0, profile[0]), np.append(profile[1][0], profile[1])
-        last.fill_between(x, y, color="#0072B2", alpha=0.2, lw=0)
-        last.plot(x, y, label="computed, at rest")
-        last.plot(
-            [0, args.width, args.width], [args.height, args.height, 0], color="0.5", ls="--",
-            lw=0.6, label="before",
-        )  # fmt: skip
-        draw_measured(last)
-        last.set(aspect="equal", xlim=(0, reach), ylim=(0, top), xlabel="$x$ (m)", ylabel="$y$ (m)")
-        last.legend()
-
-
-def variants_picture(path, args, results):
-    """Draw the surfaces of all variants against the measured one."""
-    rows, columns = len(args.integrators), len(args.bases)
-    colours = {"on": "C0", "off": "C1"}
-    lines = {"large": "-", "small": "--", "jaumann": ":"}
-    with mpm.figure(
-        path, 7.2, 0.7 + 1.5 * rows, nrows=rows, ncols=columns, sharex=True, sharey=True,
-        squeeze=False,
-    ) as (whole, axes):  # fmt: skip
-        for row, integrator in zip(axes, args.integrators):
-            for ax, basis in zip(row, args.bases):
-                draw_measured(ax)
-                for one, profile in results:
-                    if (one["integrator"], one["basis"]) != (integrator, basis):
-                        continue
-                    label = f"{one['strain']}, F-bar {one['fbar']}"
-                    label += "" if one["completed"] else " (not to the end)"
-                    ax.plot(*profile, lines[one["strain"]], color=colours[one["fbar"]], lw=0.9,
-                            label=label)  # fmt: skip
-                ax.set_title(f"{integrator}, {basis}")
-                ax.set(xlim=(0, 0.56), ylim=(0, 0.11))
-        for ax in axes[-1]:
-            ax.set_xlabel("$x$ (m)")
-        for ax in axes[:, 0]:
-            ax.set_ylabel("$y$ (m)")
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        whole.legend(handles, labels, loc="outside lower center", ncols=4)
-
-
-# %% [markdown]
 # ## Trends
 # What Xie and others say of the variants, each with the mean figures of those of either kind. The
 # scatter is that of pressures within cells; it is checkerboards that make it large.
@@ -453,7 +345,7 @@ def trends(results):
 
 # %%
 if __name__ == "__main__":
-    args = arguments()
+    args = Input.parse()
     if args.variants:
         results = []
         for integrator, basis, strain, fbar in itertools.product(

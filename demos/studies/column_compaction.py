@@ -23,20 +23,23 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures, stabilisation
+from options import BASES, Options, natural, option, positive
+from scene import finish, say, solver_figures, stabilisation
 from scipy.special import lambertw
 
 import dolfinmpm as mpm
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Square or cubic cells of side $l_0/N$. The last axis is the vertical one.
 
 
@@ -50,17 +53,6 @@ def exact_position(Y, height, modulus, weight):
 
     s0, s = weight * height / modulus, weight * (height - Y) / modulus
     return modulus / weight * (phi(s0) - phi(s))
-
-
-def background(dimension, columns, elements, h):
-    """A grid of `columns` cells across and `elements` cells high."""
-    cells = [columns] * (dimension - 1) + [elements]
-    corner = [h * n for n in cells]
-    if dimension == 2:
-        kind = mesh.CellType.quadrilateral
-        return mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), tuple(corner)], cells, kind)
-    kind = mesh.CellType.hexahedron
-    return mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), tuple(corner)], cells, kind)
 
 
 def picture(path, x0, x, stress, height, weight, modulus):
@@ -78,63 +70,48 @@ def picture(path, x0, x, stress, height, weight, modulus):
             axes.legend()
 
 
-def arguments():
-    """The command line."""
-    options = parser("Self-weight compaction of an elastic column.")
-    options.add_argument("--elements", type=int, default=64, help="cells over the height")
-    options.add_argument("--columns", type=int, default=1, help="cells across")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
-    )
-    options.add_argument(
-        "--points-per-cell", type=int, help="in each direction; 2, and 3 for cubic splines"
-    )
-    options.add_argument("--steps", type=int, default=40)
-    options.add_argument("--modulus", type=float, default=10e3, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.0)
-    options.add_argument("--density", type=float, default=80.0, help="kg/m³")
-    options.add_argument("--gravity", type=float, default=10.0, help="m/s²")
-    options.add_argument(
-        "--height", dest="initial_height", type=float, default=50.0, help="l0 (m), at first"
-    )
-    options.add_argument("--dimension", type=int, choices=(2, 3), default=2)
-    options.add_argument(
-        "--stabilisation",
+@dataclass
+class Input(Options):
+    """Self-weight compaction of an elastic column."""
+
+    elements: int = natural(64, "cells over the height")
+    columns: int = natural(1, "cells across")
+    basis: str = option("gimp", choices=BASES)
+    points_per_cell: int | None = natural(None, "in each direction; 2, and 3 for cubic splines")
+    steps: int = natural(40)
+    modulus: float = positive(10e3, "Young's modulus (Pa)")
+    poisson: float = option(0.0, above=-1, below=0.5)
+    density: float = positive(80.0, "kg/m³")
+    gravity: float = option(10.0, "m/s²")
+    initial_height: float = positive(50.0, "l0 (m), at first", flag="--height")
+    dimension: int = option(2, choices=(2, 3))
+    stabilisation: str | None = option(
+        None,
+        "none by default, ghost for splines, whose last functions hardly feel the body",
         choices=("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"),
-        help="none by default, ghost for splines, whose last functions hardly feel the body",
     )
-    options.add_argument(
-        "--ghost", choices=("none", "literal", "scaled"), help="ghost penalty of that scaling"
+    ghost: str | None = option(
+        None, "ghost penalty of that scaling", choices=("none", "literal", "scaled")
     )
-    options.add_argument(
-        "--factor", type=float, help="ghost penalty in units of E/30; that of the basis by default"
+    factor: float | None = option(
+        None, "ghost penalty in units of E/30; that of the basis by default"
     )
-    options.add_argument(
-        "--points", dest="points_file", metavar="PATH", help="CSV of all points at the end"
+    points_file: str | None = option(
+        None, "CSV of all points at the end", flag="--points", metavar="PATH"
     )
-    given = options.parse_args()
-    splines = given.basis.startswith("bspline")
-    if given.points_per_cell is None:
-        given.points_per_cell = 3 if given.basis == "bspline3" else 2
-    if given.ghost is not None:
-        given.stabilisation = "none" if given.ghost == "none" else "ghost"
-    elif given.stabilisation is None:
-        given.stabilisation = "ghost" if splines else "none"
-    for name in ("elements", "columns", "points_per_cell", "steps"):
-        if getattr(given, name) < 1:
-            options.error(f"{name} = {getattr(given, name)} must be at least 1")
-    for name in ("modulus", "density", "initial_height"):
-        if not 0 < getattr(given, name) < np.inf:
-            options.error(f"{name} = {getattr(given, name)} must be positive and finite")
-    if not -1 < given.poisson < 0.5:
-        options.error(f"poisson = {given.poisson} must be in (-1, 0.5)")
-    if given.gravity == 0 or not np.isfinite(given.gravity):
-        options.error(f"gravity = {given.gravity} must be finite and not zero")
-    return given
+
+    def _check(self):
+        splines = self.basis.startswith("bspline")
+        self.fill(points_per_cell=3 if self.basis == "bspline3" else 2)
+        if self.ghost is not None:
+            self.stabilisation = "none" if self.ghost == "none" else "ghost"
+        self.fill(stabilisation="ghost" if splines else "none")
+        if self.gravity == 0 or not np.isfinite(self.gravity):
+            raise ValueError(f"gravity = {self.gravity} must be finite and not zero")
 
 
 # %%
-args = arguments()
+args = Input.parse()
 d, up = args.dimension, args.dimension - 1
 h, height = args.initial_height / args.elements, args.initial_height
 weight = args.density * args.gravity
@@ -150,7 +127,8 @@ if weight < 0:
     top = exact_position(np.array(height), height, modulus, weight)
     rise = int(np.ceil((1.05 * top - height) / h))
 
-grid = background(d, args.columns, args.elements + rise, h)
+cells = [args.columns] * up + [args.elements + rise]
+grid = box_grid([(0.0,) * d, tuple(h * n for n in cells)], cells)
 body = mpm.Box((0.0,) * d, (h * args.columns,) * up + (height,))
 points = mpm.fill(grid, body, per_cell=args.points_per_cell, density=args.density)
 

@@ -11,17 +11,19 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import BASES, Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
 
-BASES = ("linear", "gimp", "bspline2", "bspline3")
 STABILISATIONS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 
 
@@ -30,9 +32,7 @@ def column(elements, basis, stabilisation, per_cell, steps):
     """Solve; returns the figures of the run."""
     E, rho, g, height = 10e3, 80.0, 10.0, 50.0
     h = height / elements
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (h, height)], (1, elements), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (h, height)], (1, elements))
     points = mpm.fill(grid, mpm.Box((0, 0), (h, height)), per_cell, rho)
     V = mpm.Space(grid, basis)
     gravity = fem.Constant(grid, (0.0, 0.0))
@@ -67,13 +67,18 @@ def column(elements, basis, stabilisation, per_cell, steps):
 
 
 # %%
-options = parser("The compacting column under every basis and every stabilisation.")
-options.add_argument("--elements", default="4,8,16,32", help="cells over the height, by commas")
-options.add_argument("--bases", default=",".join(BASES))
-options.add_argument("--stabilisations", default=",".join(STABILISATIONS))
-options.add_argument("--points-per-cell", type=int, help="2, and 3 for cubic splines")
-options.add_argument("--steps", type=int, default=40)
-args = options.parse_args()
+@dataclass
+class Input(Options):
+    """The compacting column under every basis and every stabilisation."""
+
+    elements: str = option("4,8,16,32", "cells over the height, by commas")
+    bases: str = ",".join(BASES)
+    stabilisations: str = ",".join(STABILISATIONS)
+    points_per_cell: int | None = natural(None, "2, and 3 for cubic splines")
+    steps: int = natural(40)
+
+
+args = Input.parse()
 
 sizes = [int(n) for n in args.elements.split(",")]
 runs = []

@@ -19,10 +19,13 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say, stabilisation
+from options import BASES, Options, natural, option
+from scene import finish, say, stabilisation
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -42,13 +45,11 @@ def block(args, dimension, offset, angle=0.0):
     h = args.spacing
     length, n = (4 * h, 8) if dimension == 1 else (8 * h, 14)
     if dimension == 1:
-        grid = mesh.create_interval(MPI.COMM_WORLD, n, [0.0, n * h])
+        grid = box_grid([(0.0,), (n * h,)], (n,))
         body = mpm.Box(2 * h + offset * h, 2 * h + offset * h + length)
         points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     else:
-        grid = mesh.create_rectangle(
-            MPI.COMM_WORLD, [(0, 0), (n * h, n * h)], (n, n), mesh.CellType.quadrilateral
-        )
+        grid = box_grid([(0, 0), (n * h, n * h)], (n, n))
         corner = np.array([3 * h + offset * h, 3 * h + 0.7 * offset * h])
         body = mpm.TurnedBox(corner, corner + length, angle)
         points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
@@ -62,47 +63,38 @@ def block(args, dimension, offset, angle=0.0):
     return study.conditioning(problem, RHO, args.factor_m)
 
 
-def arguments():
-    """The command line."""
-    options = parser("Condition numbers and critical steps of a block pushed through the grid.")
-    options.add_argument("--dimension", type=int, choices=(1, 2), default=1)
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
+@dataclass
+class Input(Options):
+    """Condition numbers and critical steps of a block pushed through the grid."""
+
+    dimension: int = option(1, choices=(1, 2))
+    basis: str = option("gimp", choices=BASES)
+    stabilisation: str = option(
+        "ghost", choices=("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
     )
-    options.add_argument(
-        "--stabilisation",
-        choices=("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"),
-        default="ghost",
+    offsets: str | None = option(
+        None, "number of places, or places in cells by commas; the published ones in 1D"
     )
-    options.add_argument(
-        "--offsets", help="number of places, or places in cells by commas; the published ones in 1D"
+    factor_k: float | None = option(
+        None, "penalty of K, units of E/30; by default that of the basis, in 2D 10 if it is linear"
     )
-    options.add_argument(
-        "--factor-k",
-        type=float,
-        help="penalty of K, units of E/30; by default that of the basis, in 2D 10 if it is linear",
-    )
-    options.add_argument("--factor-m", type=float, default=1.0, help="penalty of M, units of ρ/4")
-    options.add_argument("--scaling", choices=("scaled", "literal"), default="scaled")
-    options.add_argument(
-        "--threshold", type=float, help="filled share of a root cell; 0.995 in 1D, 0.9 in 2D"
-    )
-    options.add_argument("--eta", type=float, default=3e-2, help="share of soft stiffness")
-    options.add_argument("--spacing", type=float, default=1.0, help="size of the cells h (m)")
-    options.add_argument("--points-per-cell", type=int, help="2 in 1D, 3 in 2D")
-    args = options.parse_args()
-    if args.threshold is None:
-        args.threshold = 0.995 if args.dimension == 1 else 0.9
-    linear = args.basis in ("linear", "gimp") and args.stabilisation == "ghost"
-    if args.factor_k is None and args.dimension == 2 and linear:
-        args.factor_k = 10.0
-    if args.points_per_cell is None:
-        args.points_per_cell = 2 if args.dimension == 1 else 3
-    return args
+    factor_m: float = option(1.0, "penalty of M, units of ρ/4")
+    scaling: str = option("scaled", choices=("scaled", "literal"))
+    threshold: float | None = option(None, "filled share of a root cell; 0.995 in 1D, 0.9 in 2D")
+    eta: float = option(3e-2, "share of soft stiffness")
+    spacing: float = option(1.0, "size of the cells h (m)")
+    points_per_cell: int | None = natural(None, "2 in 1D, 3 in 2D")
+
+    def _check(self):
+        self.fill(threshold=0.995 if self.dimension == 1 else 0.9)
+        linear = self.basis in ("linear", "gimp") and self.stabilisation == "ghost"
+        if self.dimension == 2 and linear:
+            self.fill(factor_k=10.0)
+        self.fill(points_per_cell=2 if self.dimension == 1 else 3)
 
 
 # %%
-args = arguments()
+args = Input.parse()
 wave = args.spacing / np.sqrt(E / RHO)
 if args.offsets is None:
     offsets = list(PUBLISHED) if args.dimension == 1 else list(np.linspace(0, 1, 40))

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from cam_clay import COMPRESSION, PRESSURE, SWELLING, M, cam_clay
 from scipy.optimize import least_squares
 
 import dolfinmpm as mpm
 
-PRESSURE = 50e3  # Pa, p0
-M, SWELLING, COMPRESSION, POROSITY = 1.05, 0.018, 0.13, 0.5
+POROSITY = 0.5
 # v d/c_v of what counts as drained, and of a run in between; None for water that stays
 VELOCITIES = {"drained": 1e-2, "partly": 3.0, "undrained": None}
 
@@ -46,15 +46,7 @@ class Clay:
         self.bulk_modulus = PRESSURE / SWELLING
         c_v = way * diameter / velocity if velocity else 0.0
         self.permeability = c_v * mpm.Fluid().unit_weight * COMPRESSION / PRESSURE
-        self.law = mpm.materials.CamClay(
-            swelling=SWELLING,
-            compression=COMPRESSION,
-            M=M,
-            mu0=self.shear_modulus,
-            alpha=0.0,
-            reference_pressure=PRESSURE,
-            preconsolidation=ratio * PRESSURE,
-        )
+        self.law = cam_clay(ratio, self.shear_modulus)
 
     @property
     def young(self) -> float:
@@ -118,21 +110,3 @@ def compared(runs):
         "m_fitted": float(fit.x[1]),
         "apart": float(np.abs(share - backbone(V, 2.0) + 1).max()),
     }
-
-
-def draw_curve(path, runs, figures):
-    """Resistance and pore pressure against the velocity."""
-    V = np.array([run["velocity"] for run in runs])
-    q = np.array([run["factor"] for run in runs])
-    line = np.geomspace(V[0], V[-1], 200)
-    with mpm.figure(path, 6.8, 2.6, ncols=2) as (_, (left, right)):
-        left.semilogx(line, backbone(line, figures["drained_ratio"]), color="0.6", label="backbone")
-        scatter = [run["scatter"] for run in runs] / q[-1]
-        if "V50_fitted" in figures:
-            fitted = figures["drained_ratio"], figures["V50_fitted"], figures["m_fitted"]
-            left.semilogx(line, backbone(line, *fitted), "C0--", lw=0.8)
-        left.errorbar(V, q / q[-1], scatter, fmt="o", ms=3, lw=0.8, label="material points")
-        left.set(xlabel="$v d/c_v$", ylabel="$q/q_{undrained}$", ylim=(0, None))
-        left.legend()
-        right.semilogx(V, [run["pore_ratio"] for run in runs], "o-", ms=3, lw=0.8)
-        right.set(xlabel="$v d/c_v$", ylabel="$\\Delta u_2/q$")

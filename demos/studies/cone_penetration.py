@@ -45,20 +45,25 @@
 # penalty of contact, as in the clay without water, single points are crushed at the shoulder when
 # some water leaves, and the run ends.
 #
-# A quarter of the cone in three dimensions is below the bodies of revolution with the same lines
+# A quarter of the cone in three dimensions is below the axisymmetric cone with the same lines
 # (h = R/2, zone 1.5, growth 2): from 7.2 R to 8.4 R by 9.5 %, and by 5 % below those of R/4, whose
 # waves are smaller. It begins with more room around the cone, for cubes stand further off what is
-# round than rings do: gaps beside it are half of the tool's volume, and a quarter with rings.
+# round than rings do: gaps beside it are half of the cone's volume, and a quarter if axisymmetric.
 
 # %%
 import math
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from cone_in_water import PRESSURE, VELOCITIES, Clay, compared, draw_curve
+from cam_clay import PRESSURE
+from cone_in_water import VELOCITIES, Clay, compared
+from cone_pictures import draw, draw_curve
+from grids import growing
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say, solver_figures
+from options import Options, natural, option, positive, switch
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -79,73 +84,64 @@ DEFAULTS = {  # by the law, lengths in m
 }  # fmt: skip
 
 
-def arguments(words=None):
-    """The command line; what is not given takes the law's value in DEFAULTS."""
-    options = parser("A cone penetrates clay or sand.")
-    options.add_argument("--dimension", choices=("axisymmetric", "3"), default="axisymmetric")
-    options.add_argument("--law", choices=tuple(DEFAULTS), default="tresca")
-    options.add_argument("--radius", type=float, help="R (m); by the law")
-    options.add_argument("--start", type=float, help="depth of the tip at first (m); by the law")
-    options.add_argument("--depth", type=float, help="of the tip at the end (m); by the law")
-    options.add_argument("--h", type=float, help="size of the cells around it (m); by the law")
-    options.add_argument("--step", type=float, help="way of the cone in a step (m); by the law")
-    options.add_argument("--rigidity-index", type=float, default=100.0, help="G/c_u of clay")
-    options.add_argument("--ratio", type=float, default=1.0, help="overconsolidation of Cam-Clay")
-    for name, value in VELOCITIES.items():
-        options.add_argument(
-            f"--{name}", dest="drainage", action="store_const", const=name,
-            help="Cam-Clay with water" + (f" at v d/c_v = {value:g}" if value else " that stays"),
-        )  # fmt: skip
-    options.add_argument("--velocity", type=float, help="v d/c_v of Cam-Clay, instead")
-    options.add_argument("--curve", action="store_true", help="a run for each of --velocities")
-    options.add_argument(
-        "--velocities", type=numbers(float), default=[0.01, 0.1, 0.3, 1, 3, 10, 30, 100, 1000],
-        help="by commas",
-    )  # fmt: skip
-    options.add_argument("--relative-density", type=float, default=0.32, help="of sand")
-    options.add_argument("--poisson", type=float, help="Poisson's ratio; by the law")
-    options.add_argument("--friction", type=float, help="coefficient at the cone; by the law")
-    options.add_argument("--width", type=float, help="radius of the ground (m); by the law")
-    options.add_argument("--zone", type=float, default=2.5, help="width of equal cells, by R")
-    options.add_argument("--growth", type=float, default=1.3, help="of cells outside of it")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    options.add_argument("--fbar", choices=("on", "off"), help="against locking; by the law")
-    options.add_argument(
-        "--domains", choices=("volume", "stretch", "fixed"), default="volume", help="their growth"
+@dataclass
+class Input(Options):
+    """A cone penetrates clay or sand."""
+
+    dimension: str = option("axisymmetric", choices=("axisymmetric", "3"))
+    law: str = option("tresca", choices=tuple(DEFAULTS))
+    radius: float | None = positive(None, "R (m); by the law")
+    start: float | None = option(None, "depth of the tip at first (m); by the law", least=0)
+    depth: float | None = option(None, "of the tip at the end (m); by the law")
+    h: float | None = positive(None, "size of the cells around it (m); by the law")
+    step: float | None = positive(None, "way of the cone in a step (m); by the law")
+    rigidity_index: float = positive(100.0, "G/c_u of clay")
+    ratio: float = option(1.0, "overconsolidation of Cam-Clay", least=1)
+    drainage: str | None = option(
+        None,
+        one_of={
+            name: "Cam-Clay with water" + (f" at v d/c_v = {value:g}" if value else " that stays")
+            for name, value in VELOCITIES.items()
+        },
     )
-    options.add_argument("--corners", choices=("domains", "material"), default="domains")
-    options.add_argument("--penalty", type=float, help="κ h/E; by the law")
-    options.add_argument("--fillet", type=float, default=1.0, help="of tip and shoulder, by h")
-    options.add_argument(
-        "--stabilisation", choices=("none", "ghost", "aggregation"), help="by the law"
+    velocity: float | None = positive(None, "v d/c_v of Cam-Clay, instead")
+    curve: bool = option(False, "a run for each of --velocities")
+    velocities: list[float] = option(
+        [0.01, 0.1, 0.3, 1, 3, 10, 30, 100, 1000], "by commas", above=0
     )
-    options.add_argument("--ghost", type=float, default=0.1, help="factor of the ghost penalty")
-    options.add_argument("--tolerance", type=float, default=1e-6)
-    given = options.parse_args(words)
-    if given.curve or given.velocity or given.drainage:
-        if given.law == "sand":
-            options.error("water goes with --law cam-clay")
-        given.law = "cam-clay"
-    if given.law == "cam-clay" and given.dimension == "3":
-        options.error("water goes with bodies of revolution")
-    if given.velocity is None and given.drainage:
-        given.velocity = VELOCITIES[given.drainage]
-    for name, value in DEFAULTS[given.law].items():
-        if getattr(given, name) is None:
-            setattr(given, name, value)
-    sizes = given.radius, given.h, given.step, given.penalty, given.rigidity_index, given.width
-    if not min(sizes) > 0 or given.friction < 0 or not given.start >= 0:
-        options.error("sizes must be positive, start and friction not negative")
-    if not min(given.velocity or 1.0, *given.velocities) > 0 or not given.ratio >= 1:
-        options.error("velocities must be positive, the ratio 1 at the least")
-    if not given.depth >= given.start + given.step or given.growth <= 1:
-        options.error("the depth must be more than the start by a step, and growth above 1")
-    if not given.h <= given.radius or given.zone < 1.5 or given.points_per_cell < 1:
-        options.error("h may be R, zone 1.5 and points-per-cell 1 at the least")
-    if given.width < 2 * given.zone * given.radius:
-        options.error("the ground must be twice as wide as the zone")
-    return given
+    relative_density: float = option(0.32, "of sand")
+    poisson: float | None = option(None, "Poisson's ratio; by the law")
+    friction: float | None = option(None, "coefficient at the cone; by the law", least=0)
+    width: float | None = positive(None, "radius of the ground (m); by the law")
+    zone: float = option(2.5, "width of equal cells, by R", least=1.5)
+    growth: float = option(1.3, "of cells outside of it", above=1)
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
+    fbar: str | None = switch(None, "against locking; by the law")
+    domains: str = option("volume", "their growth", choices=("volume", "stretch", "fixed"))
+    corners: str = option("domains", choices=("domains", "material"))
+    penalty: float | None = positive(None, "κ h/E; by the law")
+    fillet: float = option(1.0, "of tip and shoulder, by h")
+    stabilisation: str | None = option(None, "by the law", choices=("none", "ghost", "aggregation"))
+    ghost: float = option(0.1, "factor of the ghost penalty")
+    tolerance: float = 1e-6
+
+    def _check(self):
+        if self.curve or self.velocity or self.drainage:
+            if self.law == "sand":
+                raise ValueError("water goes with --law cam-clay")
+            self.law = "cam-clay"
+        if self.law == "cam-clay" and self.dimension == "3":
+            raise ValueError("water goes with --dimension axisymmetric")
+        if self.drainage:
+            self.fill(velocity=VELOCITIES[self.drainage])
+        self.fill(**DEFAULTS[self.law])
+        if not self.depth >= self.start + self.step:
+            raise ValueError("the depth must be more than the start by a step")
+        if not self.h <= self.radius:
+            raise ValueError(f"h = {self.h:g} m must be at most R = {self.radius:g} m")
+        if self.width < 2 * self.zone * self.radius:
+            raise ValueError("the ground must be twice as wide as the zone")
 
 
 def teh_houlsby(index):
@@ -159,16 +155,6 @@ def teh_houlsby(index):
 
 
 # %%
-def growing(h, length, growth):
-    """Ends of cells on a length, each larger than the one before, the first more than h (m)."""
-    if length < 0.5 * h:
-        return np.empty(0)
-    sizes = [h * growth]
-    while sum(sizes) < length - 1e-9:
-        sizes.append(sizes[-1] * growth)
-    return np.cumsum(sizes) * (length / sum(sizes))
-
-
 class Scene:
     """The ground and the cone, step by step."""
 
@@ -179,12 +165,12 @@ class Scene:
         self.flat = args.dimension == "axisymmetric"
         self.steps = max(1, round((args.depth - args.start) / args.step))
         self.way = (args.depth - args.start) / self.steps
-        self.tool = self.penetrometer()
+        self.cone = self.penetrometer()
         self.grid, low, high = self.background()
         touched = 0.5 * h / args.points_per_cell
 
         def beside(x):
-            gap, normal, _ = self.tool.surface.probe(np.ascontiguousarray(x.T, float))
+            gap, normal, _ = self.cone.surface.probe(np.ascontiguousarray(x.T, float))
             # no corner of a domain within the cone
             return (x[-1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
 
@@ -222,7 +208,7 @@ class Scene:
         # in units of E/h with the h of the fine cells, where others are smaller
         penalty = args.penalty * self.finest / h
         F += mpm.contact(
-            self.tool, points, u, v, penalty=penalty, friction=args.friction,
+            self.cone, points, u, v, penalty=penalty, friction=args.friction,
             corners=args.corners, stiffness_per_area=args.penalty / h * E if self.wet else None,
         )  # fmt: skip
         if self.flat:
@@ -282,7 +268,7 @@ class Scene:
         signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * d, indexing="ij")).reshape(d, -1).T
         height = points["x"][:, None, -1] + signs[:, -1] * points["l"][:, None, -1]
         above = height > self.height - self.depth
-        friction = -float(points["contact1_traction"][above][:, -1].sum())
+        friction = -float(points["contact1_tangential_force"][above][:, -1].sum())
         return points.comm.allreduce(friction) * (1 if self.flat else 4)
 
     def at_shoulder(self):
@@ -361,43 +347,6 @@ def results(args, scene):
     return figures
 
 
-def draw(args, scene, figures):
-    """Force against depth, and the ground beside the cone; rank 0 writes."""
-    points, R = scene.points, args.radius
-    shown = "pressure" if scene.wet else "plastic_strain"
-    found = points.gather("x", "F", "l0", shown)
-    if found is None:
-        return
-    x, F, l0, values = found
-    label = r"$\log_{10}$ plastic strain"
-    if scene.wet:
-        values, label = (values + PRESSURE) / scene.unit, r"$\Delta u/c_u$"
-    else:
-        values = np.log10(values + 1e-3)
-    if not scene.flat:
-        # points beside the plane of symmetry
-        near = x[:, 1] < 0.5 * args.h
-        x, l0, values = x[near][:, [0, 2]], l0[near][:, [0, 2]], values[near]
-        F = F[near][:, [0, 2]][:, :, [0, 2]]
-    path = args.output / f"cone_penetration_{args.law}_{args.dimension}.png"
-    with mpm.figure(path, 7.0, 3.6, ncols=2, width_ratios=(1, 1.2)) as (fig, (left, right)):
-        depth = scene.history["depth"]
-        left.plot(scene.history["factor"], depth, lw=1, color="C1")
-        if "factor_exact" in figures:
-            left.axvline(figures["factor_exact"], color="C0", lw=1, label="Teh & Houlsby")
-            left.legend()
-        name = "$q_c$ (kPa)" if args.law == "sand" else "$q_c/c_u$"
-        left.set(xlabel=name, ylabel="depth of the tip (m)", xlim=(0, None))
-        left.set_ylim(depth[-1], args.start)
-        drawn = draw_points(right, x, F[:, :2, :2], l0, values, cmap="magma")
-        tip = -scene.depth
-        meridian = np.array([(0, tip), (R, tip + scene.height), (R, tip + 9 * R), (0, tip + 9 * R)])
-        right.fill(*meridian.T, color="0.6", zorder=3)
-        right.set(xlim=(0, 4 * R), ylim=(tip - 2 * R, tip + 5 * R))
-        right.set(xlabel="radius (m)", ylabel="height (m)")
-        fig.colorbar(drawn, label=label)
-
-
 def once(args):
     """One run, its figures and its scene. Collective."""
     started = time.perf_counter()
@@ -428,30 +377,24 @@ def once(args):
     return figures, scene
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    if args.curve:
-        runs = []
-        for velocity in args.velocities:
-            args.velocity = velocity
-            runs.append({"velocity": velocity, **once(args)[0]})
-        figures = {"runs": runs, **compared(runs)}
-        text = f"drained {figures['drained_ratio']:.2f} times undrained"
-        if "V50" in figures:
-            text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
-            text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
-            text += f"m = {figures['m_fitted']:.2f}"
-        say(text)
-        if not args.no_plot and MPI.COMM_WORLD.rank == 0:
-            draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
-    else:
-        figures, scene = once(args)
-        if not args.no_plot and "factor" in figures:
-            draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+if args.curve:
+    runs = []
+    for velocity in args.velocities:
+        args.velocity = velocity
+        runs.append({"velocity": velocity, **once(args)[0]})
+    figures = {"runs": runs, **compared(runs)}
+    text = f"drained {figures['drained_ratio']:.2f} times undrained"
+    if "V50" in figures:
+        text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
+        text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
+        text += f"m = {figures['m_fitted']:.2f}"
+    say(text)
+    if not args.no_plot and MPI.COMM_WORLD.rank == 0:
+        draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
+else:
+    figures, scene = once(args)
+    if not args.no_plot and "factor" in figures:
+        draw(args, scene, figures)
+finish(args, figures)

@@ -25,13 +25,16 @@ from __future__ import annotations
 import contextlib
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, numbers, parser, say, solver_figures
+from options import Options, natural, option, positive
+from scene import finish, say, solver_figures
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.sparse import diags_array
@@ -52,43 +55,40 @@ K0 = 1e-3  # m/s
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("Consolidation of a layer.")
-    add = options.add_argument
-    add("--scene", choices=("oedometer", "self-weight"), default="oedometer")
-    add("--law", choices=("hencky", "xie-leo"), default="hencky")
-    add("--permeability", choices=("constant", "kozeny-carman", "matched"), default="matched")
-    add("--porosity", type=float, default=0.5)
-    add("--load", type=float, default=0.1, help="q/M, or ρ'gH/M of the submerged weight")
-    add("--height", type=float, default=1.0, help="of the layer (m)")
-    add(
-        "--h", type=float, default=1 / 40,
-        help="size of the pressure's cells (m); need not divide the height",
-    )  # fmt: skip
-    add("--points-per-cell", type=int, default=4, help="of the displacement, a direction")
-    add(
-        "--pair", choices=(*PAIRS, *NESTED), default="gimp-gimp",
-        help="bases of displacement, pressure; nested: the displacement on cells of half the size",
-    )  # fmt: skip
-    add("--projection", default="auto", help="factor of the pressure projection; none; auto")
-    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
-    add("--steps", type=int, default=200, help="up to the last time, in geometric progression")
-    add("--theta", type=float, default=0.5, help="1: backward Euler; 0.5: Crank–Nicolson")
-    add("--times", type=numbers(float), default=[0.05, 0.1, 0.2, 0.3, 0.5, 1.0], help="T")
-    add("--first", type=float, default=1e-6, help="step of the overshoot, by h²/c_v")
-    add("--sweep", action="store_true", help="first steps alone, of all lengths and cuts")
-    add("--cuts", type=numbers(float), default=list(CUTS), help="of the sweep: filled share of the "
-        "top cell")  # fmt: skip
-    add("--shares", type=numbers(float), default=list(SHARES), help="of the sweep: steps by h²/c_v")
-    given = options.parse_args()
-    if given.projection not in ("auto", "none"):
-        given.projection = float(given.projection)
-    given.times.sort()
-    return given
+@dataclass
+class Input(Options):
+    """Consolidation of a layer."""
+
+    scene: str = option("oedometer", choices=("oedometer", "self-weight"))
+    law: str = option("hencky", choices=("hencky", "xie-leo"))
+    permeability: str = option("matched", choices=("constant", "kozeny-carman", "matched"))
+    porosity: float = 0.5
+    load: float = option(0.1, "q/M, or ρ'gH/M of the submerged weight")
+    height: float = option(1.0, "of the layer (m)")
+    h: float = positive(1 / 40, "size of the pressure's cells (m); need not divide the height")
+    points_per_cell: int = natural(4, "of the displacement, a direction")
+    pair: str = option(
+        "gimp-gimp",
+        "bases of displacement, pressure; nested: the displacement on cells of half the size",
+        choices=(*PAIRS, *NESTED),
+    )
+    projection: str = option("auto", "factor of the pressure projection; none; auto")
+    stabilisation: str = option("ghost", choices=("none", "ghost", "aggregation"))
+    steps: int = natural(200, "up to the last time, in geometric progression")
+    theta: float = option(0.5, "1: backward Euler; 0.5: Crank–Nicolson")
+    times: list[float] = option([0.05, 0.1, 0.2, 0.3, 0.5, 1.0], "T")
+    first: float = option(1e-6, "step of the overshoot, by h²/c_v")
+    sweep: bool = option(False, "first steps alone, of all lengths and cuts")
+    cuts: list[float] = option(list(CUTS), "of the sweep: filled share of the top cell")
+    shares: list[float] = option(list(SHARES), "of the sweep: steps by h²/c_v")
+
+    def _check(self):
+        if self.projection not in ("auto", "none"):
+            self.projection = float(self.projection)
+        self.times.sort()
 
 
-args = arguments()
+args = Input.parse()
 comm = MPI.COMM_WORLD
 H, h, E = args.height, args.h, 1e6
 M = E  # ν = 0
@@ -173,9 +173,7 @@ def column(height=H):
     cells = int(np.ceil(height / h - 1e-9)) + 1
     nested = args.pair in NESTED
     parts = 2 if nested else 1
-    grid = mesh.create_rectangle(
-        comm, [(0, 0), (h, cells * h)], (parts, parts * cells), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (h, cells * h)], (parts, parts * cells))
     body = mpm.Box((0, 0), (h, height))
     points = mpm.fill(grid, body, args.points_per_cell, 1.0, exact=True)
     bases = [NESTED[args.pair]] * 2 if nested else args.pair.split("-")

@@ -46,67 +46,66 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from cam_clay import COMPRESSION, PRESSURE, SWELLING, M, cam_clay
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say, solver_figures
+from options import Options, natural, option, positive, switch
+from scene import finish, say, solver_figures
+from slope_pictures import BASE, HEIGHT, LIMITS, ROOM, TOE, WIDTH, picture, sheared
 
 import dolfinmpm as mpm
 
-HEIGHT, BASE, TOE, WIDTH, ROOM = 6.0, 2.0, 14.0, 26.0, 1.0
-SUCTION = 50e3  # Pa, p0
+SUCTION = PRESSURE
 PERMEABILITY = 1e-9  # m/s; times are by c_v
 TIMES = {"fast": 1e-4, "slow": 1e3}  # c_v t/H² of the rise
-LIMITS = {"fast": "undrained", "slow": "drained"}
-M, SWELLING, COMPRESSION = 1.05, 0.018, 0.13
 COHESION, FRICTION = 5e3, 25.0
 # Taylor's c/(γH) by the angle of the slope, without friction (toe circles) and with 25°
 TAYLOR = {0.0: {60: 0.191, 75: 0.219}, FRICTION: {45: 0.044, 60: 0.079, 75: 0.117}}
 FAILS = 0.05  # displacement by H, per unit of N
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A saturated slope is brought to failure, fast and slowly.")
-    add = options.add_argument
-    add("--law", choices=("cam-clay", "mohr-coulomb"), default="mohr-coulomb")
-    add("--rate", type=numbers(str), default=["fast", "slow"], help="fast, slow, by commas")
-    add("--duration", type=float, help="c_v t/H² of the rise, in place of --rate")
-    add("--hold", type=float, default=0.0, help="c_v t/H² for which the last load stays")
-    add("--hold-steps", type=int, default=30)
-    add("--no-limits", action="store_true", help="without the problems of one field")
-    add("--load", type=float, default=6.4, help="N = γ'H/c_u at the end")
-    add("--steps", type=int, default=32, help="of the load")
-    add("--ratio", type=float, default=1.0, help="Cam-Clay: overconsolidation ratio R")
-    add("--dilation", type=float, default=0.0, help="Mohr-Coulomb: angle (degrees)")
-    add("--surface-suction", type=float, help="kPa; 50 with Cam-Clay, 0 with Mohr-Coulomb")
-    add("--rigidity-index", type=float, default=100.0, help="G/c_u")
-    add("--slope", type=float, default=60.0, help="its angle (degrees)")
-    add("--h", type=float, default=0.5, help="size of the cells (m), divides 1")
-    add("--points-per-cell", type=int, default=2, help="in each direction")
-    add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    add("--fbar", choices=("on", "off"), help="of the soil; on where friction drains")
-    add("--pair", choices=("equal", "nested", "linear"), default="equal", help="of the pressure")
-    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
-    given = options.parse_args(words)
-    if given.surface_suction is None:
-        given.surface_suction = SUCTION / 1e3 if given.law == "cam-clay" else 0.0
-    if given.duration is not None:
-        given.rate = ["timed"]
-    if given.duration is None and not set(given.rate) <= set(TIMES):
-        options.error(f"rate = {','.join(given.rate)} must be of {', '.join(TIMES)}")
-    if abs(1 / given.h - round(1 / given.h)) > 1e-9 or (given.pair == "nested" and given.h > 0.5):
-        options.error(f"h = {given.h:g} m must divide 1 m, and be 0.5 m at the most if nested")
-    if not 20 <= given.slope <= 90 or min(given.steps, given.hold_steps) < 2:
-        options.error("the slope may be of 20 to 90 degrees, steps 2 at the least")
-    least = 1.0 if given.law == "cam-clay" else 0.0
-    if given.surface_suction < least or given.ratio < 1 or given.load <= 0 or given.hold < 0:
-        options.error(
-            f"the surface may have {least:g} kPa at the least, ratio 1; load and hold > 0"
-        )
-    return given
+@dataclass
+class Input(Options):
+    """A saturated slope is brought to failure, fast and slowly."""
+
+    law: str = option("mohr-coulomb", choices=("cam-clay", "mohr-coulomb"))
+    rate: list[str] = option(["fast", "slow"], "fast, slow, by commas")
+    duration: float | None = option(None, "c_v t/H² of the rise, in place of --rate")
+    hold: float = option(0.0, "c_v t/H² for which the last load stays", least=0)
+    hold_steps: int = option(30, least=2)
+    no_limits: bool = option(False, "without the problems of one field")
+    load: float = positive(6.4, "N = γ'H/c_u at the end")
+    steps: int = natural(32, "of the load", least=2)
+    ratio: float = option(1.0, "Cam-Clay: overconsolidation ratio R", least=1)
+    dilation: float = option(0.0, "Mohr-Coulomb: angle (degrees)")
+    surface_suction: float | None = option(None, "kPa; 50 with Cam-Clay, 0 with Mohr-Coulomb")
+    rigidity_index: float = option(100.0, "G/c_u")
+    slope: float = option(60.0, "its angle (degrees)", least=20, most=90)
+    h: float = positive(0.5, "size of the cells (m), divides 1")
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    fbar: str | None = switch(None, "of the soil; on where friction drains")
+    pair: str = option("equal", "of the pressure", choices=("equal", "nested", "linear"))
+    stabilisation: str = option("ghost", choices=("none", "ghost", "aggregation"))
+
+    def _check(self):
+        self.fill(surface_suction=SUCTION / 1e3 if self.law == "cam-clay" else 0.0)
+        if self.duration is not None:
+            self.rate = ["timed"]
+        elif not set(self.rate) <= set(TIMES):
+            raise ValueError(f"rate = {','.join(self.rate)} must be of {', '.join(TIMES)}")
+        if abs(1 / self.h - round(1 / self.h)) > 1e-9 or (self.pair == "nested" and self.h > 0.5):
+            raise ValueError(
+                f"h = {self.h:g} m must divide 1 m, and be 0.5 m at the most if nested"
+            )
+        least = 1.0 if self.law == "cam-clay" else 0.0
+        if self.surface_suction < least:
+            raise ValueError(f"the surface may have {least:g} kPa at the least")
 
 
 # %% [markdown]
@@ -123,15 +122,7 @@ class Soil:
             least = M * SUCTION / math.sqrt(3)
             self.strength = least * (args.ratio / 2) ** (1 - SWELLING / COMPRESSION)
             self.G = args.rigidity_index * self.strength
-            self.law = mpm.materials.CamClay(
-                swelling=SWELLING,
-                compression=COMPRESSION,
-                M=M,
-                mu0=self.G,
-                alpha=0.0,
-                reference_pressure=SUCTION,
-                preconsolidation=args.ratio * SUCTION,
-            )
+            self.law = cam_clay(args.ratio, self.G)
             self.modulus = SUCTION / SWELLING + 4 / 3 * self.G
         else:
             phi, nu = math.radians(FRICTION), 0.3
@@ -175,10 +166,7 @@ class Slope:
         self.args, self.way, self.soil = args, way, Soil(args)
         self.coupled = way not in LIMITS.values()
         top = BASE + HEIGHT + ROOM
-        self.grid = mesh.create_rectangle(
-            MPI.COMM_WORLD, [(0, 0), (WIDTH, top)], (round(WIDTH / args.h), round(top / args.h)),
-            mesh.CellType.quadrilateral,
-        )  # fmt: skip
+        self.grid = box_grid([(0, 0), (WIDTH, top)], (round(WIDTH / args.h), round(top / args.h)))
         self.points = mpm.fill(self.grid, mpm.Where(self.inside), args.points_per_cell, 1.0)
         self.gravity = fem.Constant(self.grid, (0.0, 0.0))
         V = mpm.Space(self.grid, args.basis)
@@ -337,12 +325,6 @@ class Slope:
         return figures | solver_figures(self.problem)
 
 
-def sheared(F):
-    """Logarithmic shear strain ½ ln(λ₁/λ₂) of deformation gradients, shape (n, 2, 2)."""
-    stretch = np.linalg.svd(F[:, :2, :2], compute_uv=False)
-    return 0.5 * np.log(stretch[:, 0] / stretch[:, 1])
-
-
 def failure(N, moved):
     """N from which on displacements grow by more than FAILS per unit of it, or None."""
     rates = np.diff(moved, prepend=0.0) / np.diff(N, prepend=0.0)
@@ -375,90 +357,36 @@ def describe(way, result):
 
 
 # %% [markdown]
-# ## Picture
-# Displacements against the load, or the time while it is held; below, where the body lies in the
-# end, or when it fails while the load is held, with the pressure beyond that at first and the shear
-# strain.
-
-
-# %%
-def picture(path, args, runs, states):
-    """Draw the curves of all runs and the states of those with water; rank 0."""
-    strength = Soil(args).strength
-    rows = len(states)
-    with mpm.figure(path, 7.2, 2.4 + 1.6 * rows) as (whole, old):
-        old.remove()
-        upper, lower = whole.subfigures(2, 1, height_ratios=(2.4, 1.6 * rows))
-        left, right = upper.subplots(1, 2)
-        colours = {"fast": "C3", "undrained": "C3", "slow": "C0", "drained": "C0", "timed": "C2"}
-        for way, result in runs.items():
-            look = {"color": colours[way], "lw": 1.2}
-            if way in LIMITS.values():
-                look |= {"lw": 3.5, "alpha": 0.3}
-            left.plot(result["moved"], result["N"], label=way, **look)
-            if args.hold and "excess" in result:
-                right.semilogx(result["T"], result["moved"], label=way, **look)
-            elif "excess" in result:
-                right.plot(result["N"], result["excess"], label=way, **look)
-            if way not in LIMITS.values() and result["taylor"] is not None:
-                left.axhline(result["taylor"], color=colours[way], lw=0.6, ls="--")
-        left.set(xlabel="largest displacement / $H$", ylabel="$N = \\gamma' H/c_u$")
-        left.set(xlim=(0, 0.2), ylim=(0, None))
-        left.legend(loc="lower right")
-        if args.hold:
-            right.set(xlabel="$c_v t/H^2$", ylabel="largest displacement / $H$")
-        else:
-            right.set(xlabel="$N$", ylabel="excess pressure on the slip / $c_u$")
-        excess = {way: (state[3] + SUCTION) / strength for way, state in states.items()}
-        limits = [f([f(values) for values in excess.values()]) for f in (np.min, np.max)]
-        panels = np.atleast_2d(lower.subplots(rows, 2, sharex=True, sharey=True))
-        for (axes, other), (way, (x, F, l0, _)) in zip(panels, states.items()):
-            drawn = draw_points(axes, x, F, l0, excess[way], cmap="cividis", clim=limits)
-            lower.colorbar(drawn, ax=axes, label="excess pressure / $c_u$", shrink=0.9)
-            drawn = draw_points(other, x, F, l0, sheared(F), cmap="viridis", clim=(0, 0.5))
-            lower.colorbar(drawn, ax=other, label="shear strain", extend="max", shrink=0.9)
-            for ax in (axes, other):
-                ax.set(xlim=(4, 22), ylim=(0, BASE + HEIGHT + ROOM), title=way)
-
-
-# %% [markdown]
 # ## Runs
 
 
 # %%
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    started = time.perf_counter()
-    ways = list(args.rate)
-    if not args.no_limits:
-        ways += [LIMITS[way] for way in args.rate if way in LIMITS]
-    runs, states = {}, {}
-    for way in ways:
-        slope = Slope(args, way)
-        slope.run()
-        runs[way] = slope.results()
-        say(describe(way, runs[way]))
-        if slope.state is not None:
-            states[way] = slope.state
-    figures = {"runs": runs, "undrained_strength": Soil(args).strength}
-    for way, limit in LIMITS.items():
-        pair = [runs[name]["limit"] for name in (way, limit) if name in runs]
-        known = len(pair) == 2 and None not in pair
-        figures[f"{way}_error"] = pair[0] / pair[1] - 1 if known else None
-        if len(pair) == 2:
-            # displacements at the same loads
-            ours, theirs = (np.array(runs[name]["moved"]) for name in (way, limit))
-            n = min(len(ours), len(theirs))
-            apart = np.abs(ours[:n] - theirs[:n]).max(initial=0.0)
-            figures[f"{way}_apart"] = float(apart / theirs[:n].max(initial=1e-300))
-    figures["seconds"] = time.perf_counter() - started
-    if states:
-        name = "held" if args.hold else args.law.replace("-", "_")
-        picture(args.output / f"coupled_slope_{name}.png", args, runs, states)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+args = Input.parse()
+started = time.perf_counter()
+ways = list(args.rate)
+if not args.no_limits:
+    ways += [LIMITS[way] for way in args.rate if way in LIMITS]
+runs, states = {}, {}
+for way in ways:
+    slope = Slope(args, way)
+    slope.run()
+    runs[way] = slope.results()
+    say(describe(way, runs[way]))
+    if slope.state is not None:
+        states[way] = slope.state
+figures = {"runs": runs, "undrained_strength": Soil(args).strength}
+for way, limit in LIMITS.items():
+    pair = [runs[name]["limit"] for name in (way, limit) if name in runs]
+    known = len(pair) == 2 and None not in pair
+    figures[f"{way}_error"] = pair[0] / pair[1] - 1 if known else None
+    if len(pair) == 2:
+        # displacements at the same loads
+        ours, theirs = (np.array(runs[name]["moved"]) for name in (way, limit))
+        n = min(len(ours), len(theirs))
+        apart = np.abs(ours[:n] - theirs[:n]).max(initial=0.0)
+        figures[f"{way}_apart"] = float(apart / theirs[:n].max(initial=1e-300))
+figures["seconds"] = time.perf_counter() - started
+if states:
+    name = "held" if args.hold else args.law.replace("-", "_")
+    picture(args.output / f"coupled_slope_{name}.png", args, runs, states, Soil(args).strength)
+finish(args, figures)

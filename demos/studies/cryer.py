@@ -11,6 +11,18 @@
 # %%
 from __future__ import annotations
 
-from poroelastic import run_round
+from dataclasses import dataclass
 
-run_round("Cryer's sphere.", axisymmetric=True)
+from options import other_default
+from poroelastic import InTime, Round, run_round
+
+
+@dataclass
+class Input(Round):
+    """Cryer's sphere."""
+
+    poisson: float = 1 / 3
+    times: list[float] = other_default(InTime, "times", [0.01, 0.02, 0.04, 0.06, 0.1, 0.2, 0.5])
+
+
+run_round(Input.parse(), axisymmetric=True)

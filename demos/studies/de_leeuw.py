@@ -12,6 +12,17 @@
 # %%
 from __future__ import annotations
 
-from poroelastic import run_round
+from dataclasses import dataclass
 
-run_round("De Leeuw's cylinder.", axisymmetric=False)
+from options import other_default
+from poroelastic import InTime, Round, run_round
+
+
+@dataclass
+class Input(Round):
+    """De Leeuw's cylinder."""
+
+    times: list[float] = other_default(InTime, "times", [0.01, 0.05, 0.1, 0.2, 0.5])
+
+
+run_round(Input.parse(), axisymmetric=False)

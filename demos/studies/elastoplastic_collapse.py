@@ -12,14 +12,17 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import BASES, Options, natural, option, positive
+from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -28,28 +31,23 @@ DENSITY, GRAVITY = 1000.0, 10.0
 SIDE, WIDTH = 8.0, 16.0
 
 
-def arguments():
-    """The command line."""
-    options = parser("A block of von Mises material collapses under its own weight.")
-    options.add_argument("--h", type=float, default=0.5, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=6, help="in each direction")
-    options.add_argument("--steps", type=int, default=40)
-    bases = "linear", "gimp", "bspline2", "bspline3"
-    options.add_argument("--basis", choices=bases, default="gimp")
-    options.add_argument("--stabilisation", default="ghost", help="name of a stabilisation")
-    given = options.parse_args()
-    if not given.h > 0 or abs(SIDE / given.h - round(SIDE / given.h)) > 1e-9:
-        options.error(f"h = {given.h} m must divide {SIDE:g} m")
-    return given
+@dataclass
+class Input(Options):
+    """A block of von Mises material collapses under its own weight."""
+
+    h: float = positive(0.5, "size of the cells (m)")
+    points_per_cell: int = natural(6, "in each direction")
+    steps: int = natural(40)
+    basis: str = option("gimp", choices=BASES)
+    stabilisation: str = option("ghost", "name of a stabilisation")
+
+    def _check(self):
+        if abs(SIDE / self.h - round(SIDE / self.h)) > 1e-9:
+            raise ValueError(f"h = {self.h} m must divide {SIDE:g} m")
 
 
-args = arguments()
-grid = mesh.create_rectangle(
-    MPI.COMM_WORLD,
-    [(0, 0), (WIDTH, SIDE)],
-    (round(WIDTH / args.h), round(SIDE / args.h)),
-    mesh.CellType.quadrilateral,
-)
+args = Input.parse()
+grid = box_grid([(0, 0), (WIDTH, SIDE)], (round(WIDTH / args.h), round(SIDE / args.h)))
 comm = grid.comm
 points = mpm.fill(grid, mpm.Box((0, 0), (SIDE, SIDE)), args.points_per_cell, DENSITY)
 V = mpm.Space(grid, args.basis)

@@ -18,12 +18,15 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import Options, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 
@@ -33,30 +36,10 @@ KINDS = {
 }  # fmt: skip
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("Energy that steps in time keep.")
-    scenes = tuple(SCENES)
-    options.add_argument("--scene", choices=scenes, default="impact")
-    options.add_argument("--integrator", choices=tuple(KINDS), default="newmark")
-    options.add_argument("--rho-inf", type=float, default=1.0, help="of generalised-alpha")
-    options.add_argument("--stabilisation", choices=("none", "ghost", "aggregation"))
-    options.add_argument("--dt", type=float, default=5e-4, help="step (s), where it is not random")
-    options.add_argument("--cells", type=int, default=8, help="cells in the height of the block")
-    options.add_argument("--friction", type=float, default=0.0, help="coefficient μ")
-    options.add_argument("--aside", type=float, default=0.0, help="(m), see above")
-    options.add_argument("--first", type=int, default=0, help="first seed of random scenes")
-    options.add_argument("--count", type=int, default=34, help="number of random scenes")
-    given = options.parse_args(words)
-    if given.stabilisation is None:
-        given.stabilisation = "none" if given.integrator == "explicit" else "ghost"
-    return given
-
-
 def squares(low, high, h=0.1):
     """A grid of squares that covers a box."""
     n = [round((b - a) / h) for a, b in zip(low, high)]
-    return mesh.create_rectangle(COMM, [low, high], n, mesh.CellType.quadrilateral)
+    return box_grid([low, high], n)
 
 
 def problem_of(args, F, u, points, bcs=()):
@@ -85,9 +68,7 @@ def block(args):
     """Share of the peak energy that is lost in two periods (%)."""
     n, offset = args.cells, 0.3
     h = 1.0 / n
-    grid = mesh.create_rectangle(
-        COMM, [(0, 0), (2.0, 1.5)], (2 * n, 3 * n // 2), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (2.0, 1.5)], (2 * n, 3 * n // 2))
     body = mpm.Box((0.5 + offset * h, 0), (1.5 + offset * h, 1.0 - offset * h))
     points = mpm.fill(grid, body, 2, 1000.0, aligned="body")
     V = mpm.Space(grid, "gimp")
@@ -245,6 +226,25 @@ SCENES = {
 }  # fmt: skip
 
 
+@dataclass
+class Input(Options):
+    """Energy that steps in time keep."""
+
+    scene: str = option("impact", choices=tuple(SCENES))
+    integrator: str = option("newmark", choices=tuple(KINDS))
+    rho_inf: float = option(1.0, "of generalised-alpha")
+    stabilisation: str | None = option(None, choices=("none", "ghost", "aggregation"))
+    dt: float = option(5e-4, "step (s), where it is not random")
+    cells: int = option(8, "cells in the height of the block")
+    friction: float = option(0.0, "coefficient μ")
+    aside: float = option(0.0, "(m), see above")
+    first: int = option(0, "first seed of random scenes")
+    count: int = option(34, "number of random scenes")
+
+    def _check(self):
+        self.fill(stabilisation="none" if self.integrator == "explicit" else "ghost")
+
+
 def main(args):
     """Run the scene and tell its figures."""
     figures = SCENES[args.scene](args)
@@ -254,4 +254,4 @@ def main(args):
 
 
 if __name__ == "__main__":
-    main(arguments())
+    main(Input.parse())

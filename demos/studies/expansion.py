@@ -20,46 +20,44 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from dolfinx import mesh
-from motion import add_options, give_affine_part, nodal_velocities, parse, problem_of
+from grids import box_grid
+from motion import Moving, give_affine_part, nodal_velocities, problem_of
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import natural, option, other_default
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm.cut.penalties import GHOST_FACTORS
 
 
-def numbers(text):
-    """Numbers on the command line, by commas."""
-    return [float(item) for item in text.split(",")]
+@dataclass
+class Input(Moving):
+    """A block without stiffness whose velocity is affine."""
+
+    matrix: list[float] = option(
+        [1.0, 0.0, 0.0, 1.0], "A (1/s), row by row: four numbers by commas, or one in one dimension"
+    )
+    offsets: list[float] = option(
+        [0.0, 0.3, 0.5, 1 - 1e-4], "of the body from the grid's lines, in cells, by commas"
+    )
+    h: float = other_default(Moving, "h", 0.1)
+    length: float = option(1.0, "of the block (m)")
+    duration: float = option(1.0, "s")
+    steps: int = natural(50, "explicit ones may be more")
+
+    def _check(self):
+        super()._check()
+        if self.mass == "consistent":
+            degree = int(self.basis[-1]) if self.basis.startswith("bspline") else 1
+            self.fill(ghost_mass=0.25 * GHOST_FACTORS[degree])
+        if len(self.matrix) not in (1, 4):
+            raise ValueError("the matrix has one number or four")
 
 
-def arguments():
-    """The command line."""
-    options = parser("A block without stiffness whose velocity is affine.")
-    options.add_argument(
-        "--matrix", type=numbers, default=[1.0, 0.0, 0.0, 1.0],
-        help="A (1/s), row by row: four numbers by commas, or one in one dimension",
-    )  # fmt: skip
-    options.add_argument(
-        "--offsets", type=numbers, default=[0.0, 0.3, 0.5, 1 - 1e-4],
-        help="of the body from the grid's lines, in cells, by commas",
-    )  # fmt: skip
-    add_options(options, h=0.1)
-    options.add_argument("--length", type=float, default=1.0, help="of the block (m)")
-    options.add_argument("--duration", type=float, default=1.0, help="s")
-    options.add_argument("--steps", type=int, default=50, help="explicit ones may be more")
-    given = parse(options)
-    if given.mass == "consistent" and given.ghost_mass is None:
-        degree = int(given.basis[-1]) if given.basis.startswith("bspline") else 1
-        given.ghost_mass = 0.25 * GHOST_FACTORS[degree]
-    if len(given.matrix) not in (1, 4):
-        options.error("the matrix has one number or four")
-    return given
-
-
-args = arguments()
+args = Input.parse()
 comm, h, L = MPI.COMM_WORLD, args.h, args.length
 d = 1 if len(args.matrix) == 1 else 2
 A = np.array(args.matrix).reshape(d, d)
@@ -77,10 +75,7 @@ def block(offset):
     low = (before + offset) * h
     centre = low + 0.5 * L
     n = (np.ceil((ways.max(axis=0) + centre) / h) + 4).astype(int)
-    if d == 1:
-        grid = mesh.create_interval(comm, n[0], [0.0, n[0] * h])
-    else:
-        grid = mesh.create_rectangle(comm, [(0, 0), n * h], n, mesh.CellType.quadrilateral)
+    grid = box_grid([(0.0,) * d, n * h], n)
     points = mpm.fill(
         grid, mpm.Box(tuple(low), tuple(low + L)), args.points_per_cell, 1.0, aligned="body"
     )

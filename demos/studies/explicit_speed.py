@@ -17,13 +17,16 @@ from __future__ import annotations
 import importlib.util
 import statistics
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from explicit_peers import PEERS, neo_hookean
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 
@@ -40,33 +43,31 @@ MARGIN = 10
 TOOLS = ("plane", "ball", "box")
 
 
-def words(text):
-    """Words on the command line, by commas."""
-    return text.split(",") if text else []
+@dataclass
+class Input(Options):
+    """Points times steps a second of explicit steps."""
+
+    laws: list[str] = option(list(LAWS), "of " + ", ".join(LAWS), choices=tuple(LAWS))
+    bases: list[str] = option(
+        ["bspline2"], "linear, gimp, bspline2, bspline3; averaged-bspline2 averages it over domains"
+    )
+    schemes: list[str] = option(["usl"])
+    mapping: str = "flip"
+    points: int = option(100_000, "about so many")
+    dimension: int = option(2, choices=(2, 3))
+    points_per_cell: int = natural(2, "in each direction")
+    steps: int = natural(100, "in each run that is timed")
+    repeat: int = 5
+    tools: list[str] = option([], "of " + ", ".join(TOOLS), choices=tuple(TOOLS))
+    peers: list[str] = option([], "of " + ", ".join(PEERS), choices=tuple(PEERS))
+
+    def _check(self):
+        if self.peers and (MPI.COMM_WORLD.size > 1 or self.dimension > 2):
+            raise ValueError("other codes are run on one rank and in two dimensions")
 
 
-options = parser("Points times steps a second of explicit steps.")
-options.add_argument("--laws", type=words, default=list(LAWS), help="of " + ", ".join(LAWS))
-options.add_argument(
-    "--bases", type=words, default=["bspline2"],
-    help="linear, gimp, bspline2, bspline3; averaged-bspline2 averages it over domains",
-)  # fmt: skip
-options.add_argument("--schemes", type=words, default=["usl"])
-options.add_argument("--mapping", default="flip")
-options.add_argument("--points", type=int, default=100_000, help="about so many")
-options.add_argument("--dimension", type=int, choices=(2, 3), default=2)
-options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-options.add_argument("--steps", type=int, default=100, help="in each run that is timed")
-options.add_argument("--repeat", type=int, default=5)
-options.add_argument("--tools", type=words, default=[], help="of " + ", ".join(TOOLS))
-options.add_argument("--peers", type=words, default=[], help="of " + ", ".join(PEERS))
-args = options.parse_args()
-unknown = {*args.laws} - {*LAWS} | {*args.peers} - {*PEERS} | {*args.tools} - {*TOOLS}
-if unknown:
-    options.error(f"not known: {', '.join(sorted(unknown))}")
+args = Input.parse()
 comm, d = MPI.COMM_WORLD, args.dimension
-if args.peers and (comm.size > 1 or d > 2):
-    options.error("other codes are run on one rank and in two dimensions")
 cells = max(1, round(args.points ** (1 / d) / args.points_per_cell))
 h = 1.0 / cells
 COURANT = 0.3
@@ -99,9 +100,7 @@ class Ours:
     def __init__(self, law, basis, scheme, tool=None, fused=True):
         low, high = [-MARGIN * h] * d, [1 + MARGIN * h] * d
         n = [cells + 2 * MARGIN] * d
-        make = mesh.create_rectangle if d == 2 else mesh.create_box
-        kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
-        grid = make(comm, [low, high], n, kind)
+        grid = box_grid([low, high], n)
         block = mpm.Box((0,) * d, (1,) * d)
         self.points = mpm.fill(grid, block, args.points_per_cell, DENSITY)
         averaged = basis.startswith("averaged-")

@@ -37,11 +37,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -78,29 +80,28 @@ METHODS = {
 FILTERS = {"mass_cutoff", "redistribution"}
 
 
-def arguments():
-    """The command line."""
-    options = parser("A block flies through the grid in explicit steps.")
-    options.add_argument("--methods", help="names, by semicolons; all by default")
-    options.add_argument("--laws", default="elastic,elastoplastic")
-    options.add_argument("--cells", type=float, default=6.0, help="that the block passes")
-    options.add_argument("--velocity", type=float, default=0.3, help="of the block, by c")
-    options.add_argument("--strain", type=float, default=0.01, help="amplitude of the vibration")
-    options.add_argument("--share", type=float, default=0.5, help="of the critical step uncut")
-    options.add_argument("--places", type=int, default=12, help="for the critical step")
-    options.add_argument("--points-per-cell", type=int, default=3, help="in each direction")
-    options.add_argument(
-        "--long", type=int, default=10_000, help="steps of a block cut at 1e-6 of a cell"
-    )
-    given = options.parse_args()
-    given.methods = given.methods.split(";") if given.methods else list(METHODS)
-    for name in given.methods:
-        if name not in METHODS:
-            options.error(f"no method {name}; there are {'; '.join(METHODS)}")
-    given.laws = given.laws.split(",")
-    if set(given.laws) - {"elastic", "elastoplastic"}:
-        options.error("laws are elastic and elastoplastic")
-    return given
+@dataclass
+class Input(Options):
+    """A block flies through the grid in explicit steps."""
+
+    methods: str | None = option(None, "names, by semicolons; all by default")
+    laws: str = "elastic,elastoplastic"
+    cells: float = option(6.0, "that the block passes")
+    velocity: float = option(0.3, "of the block, by c")
+    strain: float = option(0.01, "amplitude of the vibration")
+    share: float = option(0.5, "of the critical step uncut")
+    places: int = option(12, "for the critical step")
+    points_per_cell: int = natural(3, "in each direction")
+    long: int = option(10_000, "steps of a block cut at 1e-6 of a cell")
+
+    def _check(self):
+        self.methods = self.methods.split(";") if self.methods else list(METHODS)
+        for name in self.methods:
+            if name not in METHODS:
+                raise ValueError(f"no method {name}; there are {'; '.join(METHODS)}")
+        self.laws = self.laws.split(",")
+        if set(self.laws) - {"elastic", "elastoplastic"}:
+            raise ValueError("laws are elastic and elastoplastic")
 
 
 # %% [markdown]
@@ -114,9 +115,7 @@ def block(args, method, law, offset, kind, travel=0.0):
     """Points and problem of a block; `kind` chooses the explicit problem or a static one."""
     basis, options, stabilisation = METHODS[method]
     n = ACROSS + 6 + int(np.ceil(travel))
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (n, n)], (n, n))
     low = 2.0 + np.broadcast_to(offset, 2)
     points = mpm.fill(grid, mpm.Box(low, low + ACROSS), args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, basis)
@@ -248,7 +247,7 @@ def stay(args, method, uncut):
 
 
 # %%
-args = arguments()
+args = Input.parse()
 golden = (np.sqrt(5) - 1) / 2
 offsets = [1e-6, 1e-3, *(float(k * golden % 1) for k in range(1, args.places - 1))]
 rows, histories = [], {}

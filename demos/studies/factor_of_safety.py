@@ -25,11 +25,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import BASES, Options, natural, option, positive, switch
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -42,26 +45,26 @@ PUBLISHED = 1.4
 SCALE = UNIT_WEIGHT * HEIGHT**2 / E
 
 
-def arguments():
-    """The command line."""
-    options = parser("Factor of safety of a homogeneous slope by reduction of its strength.")
-    options.add_argument("--h", type=float, default=1.0, help="size of the cells (m), divides 2")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    bases = "linear", "gimp", "bspline2", "bspline3"
-    options.add_argument("--basis", choices=bases, default="gimp")
-    options.add_argument("--fbar", choices=("on", "off"), default="on")
-    options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
-    options.add_argument("--stabilisation", default="ghost")
-    options.add_argument("--dilation", type=float, default=0.0, help="dilation angle (degrees)")
-    options.add_argument("--steps", type=int, default=10, help="of gravity")
-    options.add_argument("--low", type=float, default=1.0, help="a factor at which it stands")
-    options.add_argument("--high", type=float, default=2.0, help="a factor at which it fails")
-    options.add_argument("--tolerance", type=float, default=0.02, help="of the factor")
-    options.add_argument("--growth", type=float, default=3.0, help="of displacements at failure")
-    given = options.parse_args()
-    if not 0 < given.h <= 2 or abs(2 / given.h - round(2 / given.h)) > 1e-9:
-        options.error(f"h = {given.h:g} m must divide 2 m")
-    return given
+@dataclass
+class Input(Options):
+    """Factor of safety of a homogeneous slope by reduction of its strength."""
+
+    h: float = positive(1.0, "size of the cells (m), divides 2")
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=BASES)
+    fbar: str = switch("on")
+    strain: str = option("large", choices=("large", "small", "jaumann"))
+    stabilisation: str = "ghost"
+    dilation: float = option(0.0, "dilation angle (degrees)")
+    steps: int = natural(10, "of gravity")
+    low: float = option(1.0, "a factor at which it stands")
+    high: float = option(2.0, "a factor at which it fails")
+    tolerance: float = option(0.02, "of the factor")
+    growth: float = option(3.0, "of displacements at failure")
+
+    def _check(self):
+        if self.h > 2 or abs(2 / self.h - round(2 / self.h)) > 1e-9:
+            raise ValueError(f"h = {self.h:g} m must divide 2 m")
 
 
 # %% [markdown]
@@ -74,7 +77,7 @@ def slope(factor, args):
     """Gravity on the slope with strength divided by the factor, step by step."""
     size = CREST + RUN + ROOM, HEIGHT + 2.0
     cells = [round(length / args.h) for length in size]
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), size], cells, mesh.CellType.quadrilateral)
+    grid = box_grid([(0, 0), size], cells)
     outline = mpm.Polygon([(0, 0), (CREST + RUN, 0), (CREST, HEIGHT), (0, HEIGHT)])
     points = mpm.fill(grid, outline, args.points_per_cell, UNIT_WEIGHT / GRAVITY)
     V = mpm.Space(grid, args.basis)
@@ -92,7 +95,7 @@ def slope(factor, args):
 
 
 # %%
-args = arguments()
+args = Input.parse()
 started = time.perf_counter()
 found = study.factor_of_safety(
     lambda factor: slope(factor, args), args.low, args.high, tolerance=args.tolerance,

@@ -45,19 +45,22 @@
 
 # %%
 import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from footing_curves import compared, describe, draw_compared, draw_run, stored
-from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from grids import grid_of_lines, lines
+from options import BASES, Options, natural, option, positive, switch
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 from dolfinmpm.body.location import destinations
 
 WIDTH, DEPTH, HALF_WIDTH, ROOM = 15.0, 5.0, 2.0, 1.0  # m
 COHESION, GRAVITY = 10e3, 10.0  # Pa, m/s²
+STABILISATIONS = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
 LIMIT = (2 + np.pi) * COHESION
 DEFAULTS = {  # by the law
     "cam-clay": {
@@ -76,60 +79,49 @@ DEFAULTS = {  # by the law
 }  # fmt: skip
 
 
-def arguments(words=None):
-    """The command line; what is not given takes the law's value in DEFAULTS."""
-    options = parser("A strip footing on a layer of clay.")
-    bases = "linear", "gimp", "bspline2", "bspline3"
-    stabilisations = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
-    options.add_argument("--law", choices=tuple(DEFAULTS), default="cam-clay")
-    options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
-    options.add_argument("--basis", choices=bases, help="by the law")
-    options.add_argument("--fbar", choices=("on", "off"), help="against locking; by the law")
-    options.add_argument("--footing", choices=("flexible", "rigid"), help="by the law")
-    options.add_argument("--rough", choices=("on", "off"), help="by the law")
-    options.add_argument("--h", type=float, help="size of the cells (m); by the law")
-    options.add_argument(
-        "--coarsest", type=float, help="size of the cells (m) far from the footing's edge; by the "
-        "law; h for equal ones"
-    )  # fmt: skip
-    options.add_argument("--points-per-cell", type=int, help="in each direction; by the law")
-    options.add_argument("--steps", type=int, help="of the footing; by the law")
-    options.add_argument("--load", type=float, help="last pressure of a flexible footing (Pa)")
-    options.add_argument(
-        "--settlement", type=float, help="last one of a rigid footing (m); 75 c B/E by default"
+@dataclass
+class Input(Options):
+    """A strip footing on a layer of clay."""
+
+    law: str = option("cam-clay", choices=tuple(DEFAULTS))
+    strain: str = option("large", choices=("large", "small", "jaumann"))
+    basis: str | None = option(None, "by the law", choices=BASES)
+    fbar: str | None = switch(None, "against locking; by the law")
+    footing: str | None = option(None, "by the law", choices=("flexible", "rigid"))
+    rough: str | None = switch(None, "by the law")
+    h: float | None = positive(None, "size of the cells (m); by the law", most=1)
+    coarsest: float | None = option(
+        None,
+        "size of the cells (m) far from the footing's edge; by the law; h for equal ones",
+        most=2,
     )
-    options.add_argument("--modulus", type=float, help="Young's modulus (Pa) of Tresca's clay")
-    options.add_argument("--stabilisation", choices=stabilisations, default="aggregation")
-    options.add_argument(
-        "--integrator", choices=("static", "explicit"), default="static",
-        help="explicit: a flexible footing loaded in time by explicit steps after the weight",
-    )  # fmt: skip
-    options.add_argument("--duration", type=float, default=100.0, help="of explicit loading (s)")
-    options.add_argument("--damping", type=float, default=0.1, help="local, of explicit steps")
-    options.add_argument(
-        "--compare", action="store_true", help="cam-clay: measures of strain; tresca: bases with "
-        "and without F-bar; tresca-perfect: F-bar on finer and finer cells"
-    )  # fmt: skip
-    given = options.parse_args(words)
-    for name, value in DEFAULTS[given.law].items():
-        if getattr(given, name) is None:
-            setattr(given, name, value)
-    if given.coarsest is None:
-        given.coarsest = given.h
-    given.coarsest = max(given.coarsest, given.h)
-    if given.settlement is None:
-        given.settlement = 75 * 10e3 / given.modulus
-    if not 0 < given.h <= 1:
-        options.error(f"h = {given.h:g} m must be positive and at most 1 m")
-    if not given.coarsest <= 2:
-        options.error(f"coarsest = {given.coarsest:g} m must be at most 2 m")
-    if given.steps < 1 or given.points_per_cell < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    if not min(given.load, given.settlement, given.modulus, given.duration) > 0:
-        options.error("load, settlement, modulus and duration must be positive")
-    if given.integrator == "explicit" and (given.footing, given.strain) != ("flexible", "large"):
-        options.error("explicit steps load a flexible footing, under large strain")
-    return given
+    points_per_cell: int | None = natural(None, "in each direction; by the law")
+    steps: int | None = natural(None, "of the footing; by the law")
+    load: float | None = positive(None, "last pressure of a flexible footing (Pa)")
+    settlement: float | None = positive(
+        None, "last one of a rigid footing (m); 75 c B/E by default"
+    )
+    modulus: float | None = positive(None, "Young's modulus (Pa) of Tresca's clay")
+    stabilisation: str = option("aggregation", choices=STABILISATIONS)
+    integrator: str = option(
+        "static",
+        "explicit: a flexible footing loaded in time by explicit steps after the weight",
+        choices=("static", "explicit"),
+    )
+    duration: float = positive(100.0, "of explicit loading (s)")
+    damping: float = option(0.1, "local, of explicit steps")
+    compare: bool = option(
+        False,
+        "cam-clay: measures of strain; tresca: bases with "
+        "and without F-bar; tresca-perfect: F-bar on finer and finer cells",
+    )
+
+    def _check(self):
+        self.fill(**DEFAULTS[self.law])
+        self.fill(coarsest=self.h, settlement=75 * 10e3 / self.modulus)
+        self.coarsest = max(self.coarsest, self.h)
+        if self.integrator == "explicit" and (self.footing, self.strain) != ("flexible", "large"):
+            raise ValueError("explicit steps load a flexible footing, under large strain")
 
 
 # %% [markdown]
@@ -140,28 +132,6 @@ def arguments(words=None):
 
 
 # %%
-def lines(length, at, h, coarsest):
-    """Ends of cells in [0, length], a line at `at`, where their size is h (m)."""
-
-    def half(reach):
-        sizes = [h]
-        while sum(sizes) < reach - 1e-9:
-            sizes.append(min(1.2 * sizes[-1], coarsest))
-        return np.cumsum(sizes) * reach / sum(sizes) if reach > 0 else np.empty(0)
-
-    return np.r_[at - half(at)[::-1], at, at + half(length - at)]
-
-
-def rectangle(x, y):
-    """A grid of rectangles with the lines x and y (m)."""
-    n = len(x) - 1, len(y) - 1
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), n], n, mesh.CellType.quadrilateral)
-    at = grid.geometry.x
-    at[:, 0] = x[np.rint(at[:, 0]).astype(int)]
-    at[:, 1] = y[np.rint(at[:, 1]).astype(int)]
-    return grid
-
-
 def law_of(args):
     """The law; and the unit weight of the ground (N/m³) and the pressure on its top (Pa)."""
     if args.law == "cam-clay":
@@ -198,7 +168,7 @@ class Scene:
     """
 
     def __init__(self, args):
-        self.grid = grid = rectangle(
+        self.grid = grid = grid_of_lines(
             lines(WIDTH, HALF_WIDTH, args.h, args.coarsest),
             lines(DEPTH + ROOM, DEPTH, args.h, args.coarsest),
         )
@@ -377,7 +347,7 @@ def run(args):
 # ## Runs
 
 # %%
-BASES = {
+NAMES = {
     "linear": "linear",
     "gimp": "GIMP",
     "bspline2": "quadratic splines",
@@ -392,7 +362,7 @@ def variations(args):
     if args.law == "tresca":
         return [
             (f"{name}, F-bar" if fbar == "on" else name, {"basis": basis, "fbar": fbar})
-            for basis, name in BASES.items()
+            for basis, name in NAMES.items()
             for fbar in ("off", "on")
         ]
     return [
@@ -403,7 +373,7 @@ def variations(args):
 
 
 if __name__ == "__main__":
-    args = arguments()
+    args = Input.parse()
     if not args.compare:
         figures, history, scene = run(args)
         history.write(args.output / "footing.csv")
@@ -416,7 +386,7 @@ if __name__ == "__main__":
     else:
         results = []
         for label, options in variations(args):
-            one = type(args)(**{**vars(args), **options})
+            one = replace(args, **options)
             results.append({"label": label, **run(one)[0]})
         short = ("curve", "last_ratios", "last_residuals")
         rows = [{k: v for k, v in r.items() if k not in short} for r in results]

@@ -18,44 +18,43 @@ import resource
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, numbers, parser, say, solver_figures
+from options import Options, natural, option
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("A square footing on saturated ground in 3D.")
-    add = options.add_argument
-    add("--cells", type=numbers(int), default=[14, 20], help="in each direction, by commas")
-    add("--permeability", type=numbers(float), default=[1e-6], help="k (m/s), by commas")
-    add("--steps", type=int, default=4, help="in which the load is put on, 1 s each")
-    add("--load", type=float, default=0.1, help="by Young's modulus")
-    add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    add("--points-per-cell", type=int, default=2)
-    add("--direct", action="store_true", help="factors in place of iterations")
-    add(
-        "--compare", action="store_true",
-        help="with factors and with iterations, one rank; cells in multiples of 5",
-    )  # fmt: skip
-    return options.parse_args()
+@dataclass
+class Input(Options):
+    """A square footing on saturated ground in 3D."""
+
+    cells: list[int] = option([14, 20], "in each direction, by commas")
+    permeability: list[float] = option([1e-6], "k (m/s), by commas")
+    steps: int = natural(4, "in which the load is put on, 1 s each")
+    load: float = option(0.1, "by Young's modulus")
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    points_per_cell: int = natural(2)
+    direct: bool = option(False, "factors in place of iterations")
+    compare: bool = option(
+        False, "with factors and with iterations, one rank; cells in multiples of 5"
+    )
 
 
-args = arguments()
+args = Input.parse()
 comm, E, nu = MPI.COMM_WORLD, 1e7, 0.3
 
 
 def run(cells: int, permeability: float):
     """Take the steps; figures of the run, and the problem."""
     h = 1 / cells
-    grid = mesh.create_box(
-        comm, [(0, 0, 0), (1, 1, 1 + h)], (cells, cells, cells + 1), mesh.CellType.hexahedron
-    )
+    grid = box_grid([(0, 0, 0), (1, 1, 1 + h)], (cells, cells, cells + 1))
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), args.points_per_cell, 2000.0)
     V, Q = mpm.Space(grid, args.basis), mpm.Space(grid, args.basis, shape=())
     top = mpm.Surface(points, lambda x: x[2] > 1 - 1e-9, (0, 0, 1), name="top")

@@ -12,20 +12,23 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
+from options import natural, option, other_default, positive
 from poroelastic import (
-    PERMEABILITY,
+    MODULUS,
     SMALL,
-    WATER,
-    add_times,
+    InTime,
     consolidation_coefficient,
     instants,
+    mixture,
     node_value,
     report,
 )
-from scene import numbers, parser
 
 import dolfinmpm as mpm
 
@@ -43,41 +46,33 @@ CONFORMING = np.array([
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("Consolidation under a strip footing.")
-    add = options.add_argument
-    add("--poisson", type=float, default=0.2)
-    add("--width", type=float, default=10.0, help="half of the ground's, by B")
-    add("--depth", type=float, default=5.0, help="of the ground, by B")
-    add("--h", type=float, default=0.125, help="size of the cells, by B; divides all lengths")
-    add("--points-per-cell", type=int, default=2)
-    add_times(add, numbers, TIMES, 60)
-    given = options.parse_args()
-    given.times.sort()
-    return given
+@dataclass
+class Input(InTime):
+    """Consolidation under a strip footing."""
+
+    poisson: float = 0.2
+    width: float = option(10.0, "half of the ground's, by B")
+    depth: float = option(5.0, "of the ground, by B")
+    h: float = positive(0.125, "size of the cells, by B; divides all lengths")
+    points_per_cell: int = natural(2)
+    times: list[float] = other_default(InTime, "times", list(TIMES))
+    steps: int = other_default(InTime, "steps", 60)
 
 
-args = arguments()
-comm, nu, B, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
+args = Input.parse()
+comm, nu, B, E = MPI.COMM_WORLD, args.poisson, 1.0, MODULUS
 q, c_v = SMALL * E, consolidation_coefficient(E, nu)
 W, D, h = args.width, args.depth, args.h
 cells = round(W / h), round(D / h)
 
 # %%
-grid = mesh.create_rectangle(
-    comm, [(0, 0), (W, D + h)], (cells[0], cells[1] + 1), mesh.CellType.quadrilateral
-)
+grid = box_grid([(0, 0), (W, D + h)], (cells[0], cells[1] + 1))
 points = mpm.fill(grid, mpm.Box((0, 0), (W, D)), args.points_per_cell, 1.0)
 V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
 u, v = V.increment, V.test
 top = mpm.Surface(points, lambda x: x[1] > D * (1 - 1e-9), (0, 1), name="top")
 strip = mpm.Surface(points, lambda x: (x[1] > D * (1 - 1e-9)) & (x[0] < B), (0, 1), name="strip")
-F = mpm.poromechanics(
-    mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
-    permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=top, theta=args.theta,
-    strain="small",
-)  # fmt: skip
+F = mixture(args, points, V, Q, top)
 load = fem.Constant(grid, (0.0, -q))
 F += strip.traction(load, v)
 bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")

@@ -7,13 +7,14 @@ ground beside the edge stretches the further the smaller the elements.
 
 from __future__ import annotations
 
-import argparse
 import csv
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import Options
 from scene import draw_points
 
 import dolfinmpm as mpm
@@ -27,7 +28,7 @@ LABELS = {
 SCALES = {"preconsolidation_pressure": 1e-3, "plastic_strain": 100.0}
 
 
-def stored(args: argparse.Namespace) -> np.ndarray | None:
+def stored(args: Options) -> np.ndarray | None:
     """Load (Pa) and settlement (m) of centre, mean and edge by conforming elements, or None.
 
     Returns:
@@ -71,7 +72,7 @@ def compared(curve: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     return figures
 
 
-def describe(args: argparse.Namespace, f: dict[str, Any]) -> str:
+def describe(args: Options, f: dict[str, Any]) -> str:
     """Some lines on a run."""
     text = (
         f"{args.law}, {args.strain} strain, {args.basis}, F-bar {args.fbar}, {args.footing}, rough "
@@ -94,9 +95,7 @@ def describe(args: argparse.Namespace, f: dict[str, Any]) -> str:
     return text + (f"\n    ended early: {f['reason'][:400]}" if f["reason"] else "")
 
 
-def _draw_curve(
-    axes: Any, args: argparse.Namespace, figures: dict[str, Any], label: str, **look: Any
-) -> None:
+def _draw_curve(axes: Any, args: Options, figures: dict[str, Any], label: str, **look: Any) -> None:
     """Draw the settlement in the centre, which is all of a rigid footing's, over pressure."""
     curve = np.array(figures["curve"])
     unit = 1e3 if args.settlement < 0.1 and args.footing == "rigid" else 1.0
@@ -106,12 +105,10 @@ def _draw_curve(
     axes.set_ylabel(f"{what} ({'mm' if unit > 1 else 'm'})")
 
 
-def _finish_curves(
-    axes: Any, args: argparse.Namespace, strains: Sequence[str], limit: float
-) -> None:
+def _finish_curves(axes: Any, args: Options, strains: Sequence[str], limit: float) -> None:
     """Add what the curves are compared with; settlement points down."""
     for strain, dashes in zip(strains, ("-", (0, (4, 2)))):
-        reference = stored(type(args)(**{**vars(args), "strain": strain}))
+        reference = stored(replace(args, strain=strain))
         if reference is not None:
             name = "conforming elements" + (f", {strain}" if len(strains) > 1 else "")
             axes.plot(
@@ -126,7 +123,7 @@ def _finish_curves(
 
 def draw_run(
     path: Path,
-    args: argparse.Namespace,
+    args: Options,
     figures: dict[str, Any],
     state: Sequence[np.ndarray],
     name: str,
@@ -163,7 +160,7 @@ def draw_run(
 
 
 def draw_compared(
-    path: Path, args: argparse.Namespace, results: Sequence[dict[str, Any]], limit: float
+    path: Path, args: Options, results: Sequence[dict[str, Any]], limit: float
 ) -> None:
     """The curves of `--compare` in one picture.
 

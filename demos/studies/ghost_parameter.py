@@ -16,22 +16,25 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, numbers, parser, say
+from options import Options, option
+from scene import finish, say
 
 import dolfinmpm as mpm
-from dolfinmpm.assembly.facetpairs import (
+from dolfinmpm.assembly.facetpenalties import (
     INTERVALS,
     by_ratio,
     isotropic,
     lattice_pair,
     local_constant,
 )
-from dolfinmpm.assembly.facetplaces import FacetPlace
 from dolfinmpm.assembly.facettensors import FacetTensors
+from dolfinmpm.assembly.latticefacets import LatticeFacet
 from dolfinmpm.cut.facetmoduli import bounded, isotropic_moduli
 from dolfinmpm.materials.base import lame
 
@@ -40,22 +43,20 @@ FACTORS = (1 / 90, 1 / 9, 1 / 3, 1.0)
 DEGREES = {"linear": 1, "bspline2": 2, "bspline3": 3}
 
 
-def arguments():
-    """The command line."""
-    options = parser("Local constants, and the deflection of a cantilever, over the ghost penalty.")
-    options.add_argument("--dimension", type=int, choices=(2, 3), default=2)
-    options.add_argument("--basis", choices=tuple(DEGREES), default="linear")
-    options.add_argument("--target", type=float, default=30.0, help="of the adaptive penalty")
-    options.add_argument("--poisson", type=numbers(float), default=[0.0, 0.3, 0.49, 0.495])
-    options.add_argument("--depths", type=numbers(int), default=[2, 4, 8], help="cells of a beam")
-    options.add_argument(
-        "--factors", type=numbers(float), help="g of the beams; 1/9000 ... 100 by default"
-    )
-    options.add_argument("--cut", type=float, default=0.3, help="filled share of the beams' edges")
-    args = options.parse_args()
-    if args.factors is None:
-        args.factors = [1 / 9000, 1 / 90, 1 / 9, 1 / 3, 1.0, 10.0, 100.0]
-    return args
+@dataclass
+class Input(Options):
+    """Local constants, and the deflection of a cantilever, over the ghost penalty."""
+
+    dimension: int = option(2, choices=(2, 3))
+    basis: str = option("linear", choices=tuple(DEGREES))
+    target: float = option(30.0, "of the adaptive penalty")
+    poisson: list[float] = option([0.0, 0.3, 0.49, 0.495])
+    depths: list[int] = option([2, 4, 8], "cells of a beam")
+    factors: list[float] | None = option(None, "g of the beams; 1/9000 ... 100 by default")
+    cut: float = option(0.3, "filled share of the beams' edges")
+
+    def _check(self):
+        self.fill(factors=[1 / 9000, 1 / 90, 1 / 9, 1 / 3, 1.0, 10.0, 100.0])
 
 
 # %% [markdown]
@@ -68,19 +69,14 @@ def arguments():
 def two_cells(basis, dimension):
     """The pair of cells, with the library's own penalty for γ = 1 Pa."""
     cells = (7,) * dimension
-    if dimension == 2:
-        grid = mesh.create_rectangle(
-            MPI.COMM_SELF, [(0, 0), cells], cells, mesh.CellType.quadrilateral
-        )
-    else:
-        grid = mesh.create_box(MPI.COMM_SELF, [(0, 0, 0), cells], cells, mesh.CellType.hexahedron)
+    grid = box_grid([(0,) * dimension, cells], cells, MPI.COMM_SELF)
     points = mpm.fill(grid, mpm.Box((0,) * dimension, (1,) * dimension), 1, 1.0)
     V = mpm.Space(grid, basis)
     form = mpm.ghost(points, V.increment, V.test, gamma=1.0)
     bilinear = ufl.derivative(form, V.increment, ufl.TrialFunction(V.function_space))
     bilinear = ufl.algorithms.expand_derivatives(bilinear)
     lines = [np.arange(8.0)] * dimension
-    place = FacetPlace(lines, (3,) * dimension, 0, False)
+    place = LatticeFacet(lines, (3,) * dimension, 0, False)
     tensor = FacetTensors(bilinear, DEGREES[basis], dimension)(place)
     return lattice_pair(place, DEGREES[basis], tensor)
 
@@ -211,7 +207,7 @@ def deflection(depth, g, cut, **options):
     low = (1 - cut) * h
     cells = (10 * depth + 2, depth + 3)
     size = (cells[0] * h, cells[1] * h)
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), size], cells, mesh.CellType.quadrilateral)
+    grid = box_grid([(0, 0), size], cells)
     # whole cells between the cut ones, and one less of them in all
     points = mpm.fill(grid, mpm.Box((0, low + h), (10, low + h + 1.0)), 4, 1.0)
     V = mpm.Space(grid, "linear")
@@ -230,7 +226,7 @@ def deflection(depth, g, cut, **options):
     return float(-total[0] / total[1])
 
 
-args = arguments()
+args = Input.parse()
 pair = two_cells(args.basis, args.dimension)
 constants = elastic_constants(pair, args)
 for row in constants:

@@ -21,48 +21,43 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
-from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from grids import grid_of_lines
+from hertz_fit import draw_pressure, fitted_ellipse
+from options import Options, natural, option, positive
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A rigid cylinder or sphere is pressed into an elastic body.")
-    options.add_argument("--shape", choices=("cylinder", "sphere"), default="cylinder")
-    options.add_argument("--radius", type=float, default=1.0, help="R (m)")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    load = options.add_mutually_exclusive_group()
-    load.add_argument("--force", type=float, help="P (N/m) or F (N)")
-    load.add_argument("--depth", type=float, help="of the indenter (m)")
-    options.add_argument("--resolution", type=float, default=8.0, help="a/h")
-    options.add_argument("--h", type=float, help="smallest size of cells (m), instead")
-    options.add_argument(
-        "--size", type=float, help="of the body, in half-widths; 25 or, of a sphere, 50"
+@dataclass
+class Input(Options):
+    """A rigid cylinder or sphere is pressed into an elastic body."""
+
+    shape: str = option("cylinder", choices=("cylinder", "sphere"))
+    radius: float = positive(1.0, "R (m)")
+    modulus: float = positive(1e6, "Young's modulus (Pa)")
+    poisson: float = option(0.3, least=0, below=0.5)
+    force: float | None = positive(None, "P (N/m) or F (N)", either="load")
+    depth: float | None = positive(None, "of the indenter (m)", either="load")
+    resolution: float = positive(8.0, "a/h")
+    h: float | None = positive(None, "smallest size of cells (m), instead")
+    size: float | None = option(
+        None, "of the body, in half-widths; 25 or, of a sphere, 50", least=6
     )
-    options.add_argument("--growth", type=float, default=1.4, help="of cells away from it")
-    options.add_argument("--softness", type=float, default=0.01, help="of the penalty")
-    options.add_argument("--friction", type=float, default=0.0)
-    options.add_argument("--points-per-cell", type=int, default=2)
-    options.add_argument("--steps", type=int, default=5)
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    given = options.parse_args(words)
-    if given.force is None and given.depth is None:
-        given.depth = 0.01 * given.radius
-    if not min(given.radius, given.modulus, given.force or 1.0, given.depth or 1.0) > 0:
-        options.error("radius, modulus, force and depth must be positive")
-    if not (0 <= given.poisson < 0.5 and min(given.softness, given.resolution) > 0):
-        options.error("poisson must be in [0, 0.5), softness and resolution positive")
-    if given.size is None:
-        given.size = 25.0 if given.shape == "cylinder" else 50.0
-    if given.size < 6 or given.growth < 1 or min(given.steps, given.points_per_cell) < 1:
-        options.error("size must be at least 6, growth, steps and points-per-cell at least 1")
-    return given
+    growth: float = option(1.4, "of cells away from it", least=1)
+    softness: float = positive(0.01, "of the penalty")
+    friction: float = 0.0
+    points_per_cell: int = natural(2)
+    steps: int = natural(5)
+    basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
+
+    def _check(self):
+        if self.force is None:
+            self.fill(depth=0.01 * self.radius)
+        self.fill(size=25.0 if self.shape == "cylinder" else 50.0)
 
 
 def closed_form(args, force):
@@ -105,13 +100,7 @@ class Scene:
         out = lines(self.a, h, args)
         up = np.r_[-out[::-1], h, 2 * h]
         axes = [out] * (d - 1) + [up]
-        n = [len(axis) - 1 for axis in axes]
-        make = mesh.create_rectangle if d == 2 else mesh.create_box
-        kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
-        grid = make(MPI.COMM_WORLD, [(0.0,) * d, n], n, kind)
-        x = grid.geometry.x
-        for k, axis in enumerate(axes):
-            x[:, k] = axis[np.rint(x[:, k]).astype(int)]
+        grid = grid_of_lines(*axes)
         low, high = [axis[0] for axis in axes], [out[-1]] * (d - 1) + [0.0]
         self.points = points = mpm.fill(grid, mpm.Box(low, high), args.points_per_cell, 1000.0)
         V = mpm.Space(grid, args.basis)
@@ -177,78 +166,47 @@ class Scene:
         """Places of the touching corners (m), the forces (N) and pressures (Pa) there."""
         operator = self.problem.operator()
         (contact,) = self.problem.bodies.acting(operator)
-        operator.rest()
-        operator.touch()
-        some = contact.pressures > 0
-        own = contact.x[some, :-1], contact.pressures[some], contact.start.areas[some]
+        operator.move_to_zero()
+        operator.update_contact()
+        areas = contact.start.stiffness / contact.contact.stiffness_at(contact.corners.rows)
+        some = contact.now.normal > 0
+        own = contact.x[some, :-1], contact.now.normal[some], areas[some]
         x, p, area = (np.concatenate(part) for part in zip(*self.points.comm.allgather(own)))
         return np.linalg.norm(x, axis=1), p, p / area
 
 
-def measured(scene):
-    """Half-width (m), from the second moment, and peak pressure (Pa)."""
-    r, force, pressure = scene.pressures()
-    moment = force @ r**2 / force.sum()
-    a = math.sqrt((4 if scene.args.shape == "cylinder" else 2.5) * moment)
-    inner = r < 0.4 * a
-    shape = np.sqrt(1 - (r[inner] / a) ** 2)
-    # the ellipse that fits best
-    return a, float(pressure[inner] @ shape / (shape @ shape))
-
-
 def draw(args, scene, figures):
-    """Pressure against the distance from the middle; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    r, _, p = scene.pressures()
-    if MPI.COMM_WORLD.rank:
-        return
-    figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
-    a, peak = figures["exact_half_width"], figures["exact_peak_pressure"]
-    s = np.linspace(0, a, 200)
-    axes.plot(s, peak * np.sqrt(1 - (s / a) ** 2) / 1e3, color="k", lw=1, label="Hertz")
-    axes.plot(r, p / 1e3, "o", ms=3, label="corners of points")
-    axes.set(xlabel="distance from the middle (m)", ylabel="pressure (kPa)", xlim=(0, 1.3 * a))
-    axes.legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"hertz_{args.shape}.png", dpi=200)
-    plt.close(figure)
+    """Pressure against the distance from the middle; rank 0 writes. Collective."""
+    r, _, pressure = scene.pressures()
+    with mpm.figure(args.output / f"hertz_{args.shape}.png", 4.0, 3.0) as (_, axes):
+        draw_pressure(axes, figures, r, pressure, "corners of points")
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    scene = Scene(args)
-    scene.run()
-    half_width, peak = measured(scene)
-    force = float(scene.force)
-    if args.shape == "sphere" and args.force is None:
-        # the depth was given: the force is a result
-        stiffness = args.modulus / (1 - args.poisson**2)
-        exact_force = 4 / 3 * stiffness * math.sqrt(args.radius) * args.depth**1.5
-    else:
-        exact_force = args.force if args.force is not None else force
-    a, p0, _ = closed_form(args, exact_force)
-    figures = {
-        "force": force, "depth": float(scene.depth), "half_width": half_width,
-        "peak_pressure": peak, "exact_force": exact_force, "exact_half_width": a,
-        "exact_peak_pressure": p0, "force_error": force / exact_force - 1,
-        "half_width_error": half_width / a - 1, "peak_error": peak / p0 - 1,
-        **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"force {force:.6g} N, half-width {half_width:.5g} m ({a:.5g}, "
-        f"{100 * figures['half_width_error']:+.2f} %), peak {peak:.5g} Pa ({p0:.5g}, "
-        f"{100 * figures['peak_error']:+.2f} %), force {100 * figures['force_error']:+.2f} %"
-    )
-    if not args.no_plot:
-        draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+half_width, peak = fitted_ellipse(*scene.pressures(), args.shape == "sphere")
+force = float(scene.force)
+if args.shape == "sphere" and args.force is None:
+    # the depth was given: the force is a result
+    stiffness = args.modulus / (1 - args.poisson**2)
+    exact_force = 4 / 3 * stiffness * math.sqrt(args.radius) * args.depth**1.5
+else:
+    exact_force = args.force if args.force is not None else force
+a, p0, _ = closed_form(args, exact_force)
+figures = {
+    "force": force, "depth": float(scene.depth), "half_width": half_width,
+    "peak_pressure": peak, "exact_force": exact_force, "exact_half_width": a,
+    "exact_peak_pressure": p0, "force_error": force / exact_force - 1,
+    "half_width_error": half_width / a - 1, "peak_error": peak / p0 - 1,
+    **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"force {force:.6g} N, half-width {half_width:.5g} m ({a:.5g}, "
+    f"{100 * figures['half_width_error']:+.2f} %), peak {peak:.5g} Pa ({p0:.5g}, "
+    f"{100 * figures['peak_error']:+.2f} %), force {100 * figures['force_error']:+.2f} %"
+)
+if not args.no_plot:
+    draw(args, scene, figures)
+finish(args, figures)

@@ -25,43 +25,40 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
+from hertz_fit import draw_pressure, fitted_ellipse
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import Options, natural, option, positive
+from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("Two elastic cylinders, or spheres, are pressed together.")
-    options.add_argument("--shape", choices=("cylinder", "sphere"), default="cylinder")
-    options.add_argument("--radius", type=float, default=1.0, help="R of both (m)")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
-    options.add_argument("--ratio", type=float, default=1.0, help="of the upper one's to it")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--half-width", type=float, help="to aim at, b/R; 0.05 or 0.12")
-    options.add_argument("--resolution", type=float, help="b/h; 8, or of spheres 4")
-    options.add_argument("--growth", type=float, default=1.35, help="of cells away from it")
-    options.add_argument("--friction", type=float, default=0.0)
-    options.add_argument("--penalty", type=float, default=5.0, help="see contact_between")
-    options.add_argument("--penetration", type=float, help="bound, by multipliers (m)")
-    options.add_argument("--points-per-cell", type=int, default=2)
-    options.add_argument("--steps", type=int, default=4)
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    given = options.parse_args(words)
-    round_one = given.shape == "sphere"
-    given.half_width = given.half_width or (0.12 if round_one else 0.05)
-    given.resolution = given.resolution or (4.0 if round_one else 8.0)
-    if not min(given.radius, given.modulus, given.ratio, given.resolution, given.penalty) > 0:
-        options.error("radius, modulus, ratio, resolution and penalty must be positive")
-    if not (0 <= given.poisson < 0.5 and 0 < given.half_width <= 0.2 and given.growth >= 1):
-        options.error("poisson must be in [0, 0.5), half-width in (0, 0.2], growth at least 1")
-    if min(given.steps, given.points_per_cell) < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    return given
+@dataclass
+class Input(Options):
+    """Two elastic cylinders, or spheres, are pressed together."""
+
+    shape: str = option("cylinder", choices=("cylinder", "sphere"))
+    radius: float = positive(1.0, "R of both (m)")
+    modulus: float = positive(1e6, "Young's modulus (Pa)")
+    ratio: float = positive(1.0, "of the upper one's to it")
+    poisson: float = option(0.3, least=0, below=0.5)
+    half_width: float | None = positive(None, "to aim at, b/R; 0.05 or 0.12", most=0.2)
+    resolution: float | None = positive(None, "b/h; 8, or of spheres 4")
+    growth: float = option(1.35, "of cells away from it", least=1)
+    friction: float = 0.0
+    penalty: float = positive(5.0, "see contact_between")
+    penetration: float | None = option(None, "bound, by multipliers (m)")
+    points_per_cell: int = natural(2)
+    steps: int = natural(4)
+    basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
+
+    def _check(self):
+        sphere = self.shape == "sphere"
+        self.fill(half_width=0.12 if sphere else 0.05, resolution=4.0 if sphere else 8.0)
 
 
 def stiffness(args):
@@ -97,7 +94,7 @@ def lines(h, fine, last, growth):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Halves of bodies that end at their diametral planes; rims a few half-widths long, of segments of a
 # quarter of a cell, or caps of triangles of half a cell.
 
@@ -184,7 +181,7 @@ class Scene:
     def pressures(self):
         """Distances from the middle (m), forces (N) and pressures (Pa) of markers. Collective."""
         rim = self.rims[1].markers
-        name = self.problem.form.parts.terms[0].names[1]
+        name = self.problem.form.parts.terms[0].names.normal_force
         own = np.linalg.norm(rim["x"][:, :-1], axis=1), rim[name], rim[name] / rim["V"]
         x, force, pressure = (
             np.concatenate(part) for part in zip(*self.points.comm.allgather(own))
@@ -192,15 +189,6 @@ class Scene:
         some = np.argsort(x)
         some = some[force[some] > 0]
         return x[some], force[some], pressure[some]
-
-
-def measured(scene):
-    """Half-width (m), from the second moment, and peak pressure (Pa). Collective."""
-    x, force, pressure = scene.pressures()
-    b = math.sqrt((4 if scene.parts == 2 else 2.5) * (force @ x**2) / force.sum())
-    inner = x < 0.4 * b
-    shape = np.sqrt(1 - (x[inner] / b) ** 2)
-    return b, float(pressure[inner] @ shape / (shape @ shape))
 
 
 def draw(args, scene, figures):
@@ -229,39 +217,28 @@ def draw(args, scene, figures):
         drawn = draw_points(left, at, F, l0, value, clim=(0, peak / 1e3))
         left.set(xlim=(0, 3 * b), ylim=(-3 * b, 3 * b), ylabel=f"${'xyz'[up]}$ (m)")
         whole.colorbar(drawn, ax=left, label="pressure along the load (kPa)")
-        s = np.linspace(0, b, 200)
-        right.plot(s, peak * np.sqrt(1 - (s / b) ** 2) / 1e3, color="k", lw=1, label="Hertz")
-        right.plot(x, p / 1e3, "o", ms=3, label=label)
-        right.set(xlabel="distance from the middle (m)", ylabel="pressure (kPa)")
-        right.set(xlim=(0, 1.3 * b), ylim=(0, None))
-        right.legend(frameon=False)
+        draw_pressure(right, figures, x, p, label)
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    scene = Scene(args)
-    scene.run()
-    half_width, peak = measured(scene)
-    b, p0, approach = closed_form(args, scene.force)
-    figures = {
-        "force": float(scene.force), "approach": scene.approach, "half_width": half_width,
-        "peak_pressure": peak, "exact_half_width": b, "exact_peak_pressure": p0,
-        "exact_approach": approach, "half_width_error": half_width / b - 1,
-        "peak_error": peak / p0 - 1, "approach_error": scene.approach / approach - 1,
-        "cells_in_half_width": half_width / scene.h, **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"P = {scene.force:.6g} N, b/h = {figures['cells_in_half_width']:.1f}: half-width "
-        f"{half_width:.5g} m ({b:.5g}, {100 * figures['half_width_error']:+.2f} %), peak "
-        f"{peak:.5g} Pa ({p0:.5g}, {100 * figures['peak_error']:+.2f} %), approach "
-        f"{scene.approach:.5g} m ({approach:.5g}, {100 * figures['approach_error']:+.2f} %)"
-    )
-    if not args.no_plot:
-        draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+half_width, peak = fitted_ellipse(*scene.pressures(), args.shape == "sphere")
+b, p0, approach = closed_form(args, scene.force)
+figures = {
+    "force": float(scene.force), "approach": scene.approach, "half_width": half_width,
+    "peak_pressure": peak, "exact_half_width": b, "exact_peak_pressure": p0,
+    "exact_approach": approach, "half_width_error": half_width / b - 1,
+    "peak_error": peak / p0 - 1, "approach_error": scene.approach / approach - 1,
+    "cells_in_half_width": half_width / scene.h, **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"P = {scene.force:.6g} N, b/h = {figures['cells_in_half_width']:.1f}: half-width "
+    f"{half_width:.5g} m ({b:.5g}, {100 * figures['half_width_error']:+.2f} %), peak "
+    f"{peak:.5g} Pa ({p0:.5g}, {100 * figures['peak_error']:+.2f} %), approach "
+    f"{scene.approach:.5g} m ({approach:.5g}, {100 * figures['approach_error']:+.2f} %)"
+)
+if not args.no_plot:
+    draw(args, scene, figures)
+finish(args, figures)

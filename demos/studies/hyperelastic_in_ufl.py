@@ -13,41 +13,43 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
+from grown_disc import ExactDisc
 from mpi4py import MPI
-from numpy.polynomial import Chebyshev
-from scene import finish, parser, say
+from options import Options, natural, option, positive
+from scene import draw_points, finish, say
 from scipy import sparse
-from scipy.optimize import least_squares
 
 import dolfinmpm as mpm
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("Growing tissue: energy, growth and stabilisation in UFL.")
-    options.add_argument("--law", choices=("neo-hookean", "gent"), default="neo-hookean")
-    options.add_argument("--stabilisation", choices=("none", "own", "ghost"), default="own")
-    options.add_argument("--factor", type=float, default=1.0, help="penalty in units of E/90")
-    options.add_argument("--cells", type=int, default=16, help="over the radius")
-    options.add_argument("--points-per-cell", type=int, default=4, help="in each direction")
-    options.add_argument("--basis", choices=("linear", "gimp"), default="gimp")
-    options.add_argument("--steps", type=int, default=10)
-    options.add_argument("--radius", type=float, default=1e-3, help="m, at first")
-    options.add_argument("--modulus", type=float, default=1e3, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.4)
-    options.add_argument("--stretch-limit", type=float, default=1.0, help="Gent's J_m")
-    options.add_argument("--growth", type=float, default=0.8, help="of lengths, at the core")
-    return options.parse_args()
+@dataclass
+class Input(Options):
+    """Growing tissue: energy, growth and stabilisation in UFL."""
+
+    law: str = option("neo-hookean", choices=("neo-hookean", "gent"))
+    stabilisation: str = option("own", choices=("none", "own", "ghost"))
+    factor: float = option(1.0, "penalty in units of E/90")
+    cells: int = option(16, "over the radius")
+    points_per_cell: int = natural(4, "in each direction")
+    basis: str = option("gimp", choices=("linear", "gimp"))
+    steps: int = natural(10)
+    radius: float = positive(1e-3, "m, at first")
+    modulus: float = positive(1e3, "Young's modulus (Pa)")
+    poisson: float = 0.4
+    stretch_limit: float = option(1.0, "Gent's J_m")
+    growth: float = option(0.8, "of lengths, at the core")
 
 
-args = arguments()
+args = Input.parse()
 radius, h = args.radius, args.radius / args.cells
 mu = args.modulus / (2 * (1 + args.poisson))
 lmbda = args.modulus * args.poisson / ((1 + args.poisson) * (1 - 2 * args.poisson))
@@ -88,12 +90,7 @@ energy = gent if args.law == "gent" else neo_hookean
 
 # %%
 across = int(np.ceil((1 + max(args.growth, 0.0)) * args.cells)) + 2
-grid = mesh.create_rectangle(
-    MPI.COMM_WORLD,
-    [(0, 0), (across * h, across * h)],
-    (across, across),
-    mesh.CellType.quadrilateral,
-)
+grid = box_grid([(0, 0), (across * h, across * h)], (across, across))
 comm = grid.comm
 quarter = mpm.Disc((0, 0), radius) & mpm.Box((0, 0), (radius, radius))
 V = mpm.Space(grid, basis=args.basis)
@@ -257,60 +254,7 @@ if args.law == "neo-hookean":
 
 
 # %%
-def slope(function, *at):
-    """Derivative of an analytic function of several numbers by each of them."""
-    step = 1e-30
-    return [
-        np.imag(function(*(x + 1j * step * (i == j) for j, x in enumerate(at)))) / step
-        for i in range(len(at))
-    ]
-
-
-class ExactDisc:
-    """Positions and Cauchy stresses of the disc, by initial radius; energy (J/m) of a quarter."""
-
-    def __init__(self, terms=10):
-        s, weight = np.polynomial.legendre.leggauss(40)
-        s, weight = 0.5 * (s + 1), 0.5 * weight
-        basis = [Chebyshev.basis(2 * k) for k in range(terms)]
-        c = np.eye(terms)[0]
-        ratio = np.array([T(s) for T in basis])
-        along = ratio + np.array([s * T.deriv()(s) for T in basis])
-        for share in np.linspace(0, 1, 11)[1:]:
-            g = 1 + share * growth_of(s * radius)
-
-            def balance(c, g=g):
-                P_r, P_t, _ = slope(lambda *at: self._energy(g, *at), c @ along, c @ ratio, 1.0)
-                return (along * P_r + ratio * P_t) @ (weight * s) / mu
-
-            solution = least_squares(
-                balance, c, jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15
-            )
-            c = solution.x
-        if np.abs(solution.fun).max() > 1e-9:
-            raise RuntimeError(f"no exact solution with growth {args.growth}: {solution.message}")
-        density = self._energy(g, c @ along, c @ ratio, 1.0)
-        self.stored_energy = float(np.pi / 2 * radius**2 * (density @ (weight * s)))
-        self._ratio = sum(a * T for a, T in zip(c, basis))
-
-    @staticmethod
-    def _energy(g, a, b, c):
-        """Energy (J/m³) of the principal stretches a, b and c, the last along the axis."""
-        return g**2 * energy((a**2 + b**2) / g**2 + c**2, a * b * c / g**2, np.log)
-
-    def position(self, R):
-        """Radius r (m) to which the ring of radius R (m) moves."""
-        return R * self._ratio(R / radius)
-
-    def stress(self, R):
-        """Cauchy stresses (Pa) along the radius, around it and along the axis, shape (3, n)."""
-        s, g = R / radius, 1 + growth_of(R)
-        a, b = self._ratio(s) + s * self._ratio.deriv()(s), self._ratio(s)
-        P_r, P_t, P_z = slope(lambda *at: self._energy(g, *at), a, b, np.ones_like(a))
-        return np.array([P_r / b, P_t / a, P_z / (a * b)])
-
-
-exact = ExactDisc()
+exact = ExactDisc(energy, growth_of, radius, mu)
 grown = float(exact.position(radius))
 
 # %% [markdown]
@@ -324,30 +268,8 @@ def total(points, values):
     return comm.allreduce(float(values @ points["V0"]))
 
 
-def polar(points):
-    """Initial radii (m), shape (n,), and the axes along the radius, around and across, as rows."""
-    R = np.linalg.norm(points["x0"], axis=1)
-    axes = np.zeros((len(points), 3, 3))
-    axes[:, 0, :2] = points["x0"] / R[:, None]
-    axes[:, 1, :2] = axes[:, 0, :2] @ np.array([[0, 1], [-1, 0]])
-    axes[:, 2, 2] = 1
-    return R, axes
-
-
-def errors(points):
-    """Relative errors of displacement and stress."""
-    R, axes = polar(points)
-    moved = (exact.position(R) - R)[:, None] * axes[:, 0, :2]
-    stress = np.einsum("ap,pai,paj->pij", exact.stress(R), axes, axes)
-    result = []
-    for found, sought in ((points["x"] - points["x0"], moved), (points["stress"], stress)):
-        square = [(e**2).reshape(len(R), -1).sum(axis=1) for e in (found - sought, sought)]
-        result.append(float(np.sqrt(total(points, square[0]) / total(points, square[1]))))
-    return result
-
-
-displacement_error, stress_error = errors(points)
-bare_displacement_error, bare_stress_error = errors(bare_points)
+displacement_error, stress_error = exact.errors(points)
+bare_displacement_error, bare_stress_error = exact.errors(bare_points)
 
 
 # %%
@@ -408,25 +330,18 @@ if from_library is not None:
 # %%
 def picture(path, x0, x, F, l0, stress):
     """Draw the grown disc, its stresses by radius and the condition numbers by step."""
-    from matplotlib.collections import PolyCollection
-
     mm, kPa = 1e3, 1e-3
     R = np.linalg.norm(x0, axis=1)
     e = x0 / R[:, None]
     t = e @ np.array([[0, 1], [-1, 0]])
     along, around = (np.einsum("pi,pij,pj->p", a, stress[:, :2, :2], a) * kPa for a in (e, t))
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    parts = x[:, None] + np.einsum("pij,cj,pj->pci", F, corners, l0)
     small = None not in conditions + bare_conditions
     panels = {"ncols": 3 if small else 2, "width_ratios": (1.15, 1, 0.9)[: 3 if small else 2]}
     with mpm.figure(path, 7.2 if small else 5.0, 2.4, **panels) as (figure, axes):
         left, middle = axes[:2]
         top = np.percentile(np.abs(around), 99.5)
-        drawn = PolyCollection(
-            [*(mm * parts)], array=around, cmap="RdBu_r", clim=(-top, top), linewidths=0,
-            antialiased=False, snap=False, rasterized=True,
-        )  # fmt: skip
-        left.add_collection(drawn)
+        look = {"cmap": "RdBu_r", "clim": (-top, top)}
+        drawn = draw_points(left, mm * x, F, mm * l0, around, **look)
         lines = np.arange(across + 1) * h * mm
         left.vlines(lines, 0, lines[-1], color="k", alpha=0.2, lw=0.3)
         left.hlines(lines, 0, lines[-1], color="k", alpha=0.2, lw=0.3)
@@ -434,8 +349,7 @@ def picture(path, x0, x, F, l0, stress):
         for r in (radius, grown):
             left.plot(mm * r * np.cos(angle), mm * r * np.sin(angle), "k--", lw=0.6)
         side = (0, mm * (grown + 1.5 * h))
-        left.grid(visible=False)
-        left.set(aspect="equal", xlabel="$x$ (mm)", ylabel="$y$ (mm)", xlim=side, ylim=side)
+        left.set(xlabel="$x$ (mm)", ylabel="$y$ (mm)", xlim=side, ylim=side)
         figure.colorbar(drawn, ax=left, label="stress around the centre (kPa)")
 
         s = np.linspace(1e-3, 1, 101) * radius

@@ -18,12 +18,15 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import Options, option, positive
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -35,25 +38,22 @@ INTEGRATORS = {
 }  # fmt: skip
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A block, disc, cylinder or sphere on a slope.")
-    options.add_argument("--shape", choices=tuple(INERTIA), default="block")
-    options.add_argument("--angle", type=float, default=45.0, help="of the slope (degrees)")
-    options.add_argument("--friction", type=float, default=0.3, help="coefficient μ")
-    options.add_argument("--duration", type=float, default=1.0, help="(s)")
-    options.add_argument("--integrator", choices=tuple(INTEGRATORS), default="newmark")
-    options.add_argument("--dt", type=float, help="step (s); by the shape")
-    options.add_argument("--h", type=float, help="size of the cells (m); by the shape")
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    given = options.parse_args(words)
-    if not 0 < given.angle < 90 or given.friction < 0 or not given.duration > 0:
-        options.error("angle must be in (0, 90) degrees, friction not negative, duration positive")
-    if given.h is None:
-        given.h = 0.05 if given.shape == "cylinder" else 0.25
-    if given.dt is None:
-        given.dt = 0.002 if given.shape == "cylinder" else 0.01
-    return given
+@dataclass
+class Input(Options):
+    """A block, disc, cylinder or sphere on a slope."""
+
+    shape: str = option("block", choices=tuple(INERTIA))
+    angle: float = option(45.0, "of the slope (degrees)", above=0, below=90)
+    friction: float = option(0.3, "coefficient μ", least=0)
+    duration: float = positive(1.0, "(s)")
+    integrator: str = option("newmark", choices=tuple(INTEGRATORS))
+    dt: float | None = option(None, "step (s); by the shape")
+    h: float | None = positive(None, "size of the cells (m); by the shape")
+    basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
+
+    def _check(self):
+        cylinder = self.shape == "cylinder"
+        self.fill(h=0.05 if cylinder else 0.25, dt=0.002 if cylinder else 0.01)
 
 
 def exact(args, radius=1.0):
@@ -73,9 +73,7 @@ def rectangle(low, high, h):
     """A grid of squares or cubes that covers a box."""
     n = [math.ceil((b - a) / h - 1e-9) for a, b in zip(low, high)]
     ends = [low, [a + k * h for a, k in zip(low, n)]]
-    if len(n) == 2:
-        return mesh.create_rectangle(COMM, ends, n, mesh.CellType.quadrilateral)
-    return mesh.create_box(COMM, ends, n, mesh.CellType.hexahedron)
+    return box_grid(ends, n)
 
 
 def turned(x, before):
@@ -251,62 +249,46 @@ def grid_end(grid):
 
 def draw(args, history, rotates):
     """Displacement and rotation against time, and the closed forms; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    if COMM.rank:
-        return
     t = history["time"]
     last, turn, _ = exact(args, 0.25 if args.shape == "cylinder" else 1.0)
-    figure, axes = plt.subplots(1, 1 + rotates, figsize=(3.4 * (1 + rotates), 2.8), squeeze=False,
-                                layout="constrained")  # fmt: skip
-    shown = [("displacement", last, "displacement (m)"), ("rotation", turn, "rotation (rad)")]
-    for ax, (name, end, label) in zip(axes[0], shown):
-        ax.plot(t, end * (t / args.duration) ** 2, color="k", lw=1, label="closed form")
-        values = np.abs(history[name]) if name == "rotation" else history[name]
-        every = max(1, len(t) // 20)
-        ax.plot(t[::every], values[::every], "o", ms=3, label="material points")
-        ax.set(xlabel="time (s)", ylabel=label)
-    axes[0, 0].legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"incline_{args.shape}.png", dpi=200)
-    plt.close(figure)
+    path, n = args.output / f"incline_{args.shape}.png", 1 + rotates
+    with mpm.figure(path, 3.4 * n, 2.8, ncols=n, squeeze=False) as (_, axes):
+        shown = [("displacement", last, "displacement (m)"), ("rotation", turn, "rotation (rad)")]
+        for ax, (name, end, label) in zip(axes[0], shown):
+            ax.plot(t, end * (t / args.duration) ** 2, color="k", lw=1, label="closed form")
+            values = np.abs(history[name]) if name == "rotation" else history[name]
+            every = max(1, len(t) // 20)
+            ax.plot(t[::every], values[::every], "o", ms=3, label="material points")
+            ax.set(xlabel="time (s)", ylabel=label)
+        axes[0, 0].legend()
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    elastic = args.shape in ("block", "cylinder")
-    scene = Elastic(args) if elastic else Rigid(args)
-    history = mpm.History()
-    for t in mpm.times(args.duration, dt=args.dt):
-        scene.problem.step(t)
-        displacement, rotation = scene.look()
-        history.record(time=float(t), displacement=displacement, rotation=rotation)
-    last, turn, slips = exact(args, 0.25 if args.shape == "cylinder" else 1.0)
-    work, expected = scene.work()
-    figures = {
-        "displacement": displacement, "rotation": rotation, "exact_displacement": last,
-        "exact_rotation": turn, "slips": slips, "dissipated": work,
-        "friction_times_slip": expected,
-        "displacement_error": displacement / last - 1 if last else None,
-        "rotation_error": abs(rotation) / turn - 1 if turn else None,
-        "creep": float(history["displacement"][-1] - history["displacement"][len(history) // 2]),
-        **solver_figures(scene.problem),
-    }  # fmt: skip
-    error = f" ({100 * figures['displacement_error']:+.2f} %)" if last else ""
-    say(
-        f"{args.shape} {'slips' if slips else 'holds'}: {displacement:.6g} m, closed form "
-        f"{last:.6g} m{error}, rotation {rotation:.5g} ({turn:.5g}), friction takes {work:.5g} J, "
-        f"mu N slip {expected:.5g} J, at most {figures['max_newton_iterations']} iterations"
-    )
-    if not args.no_plot:
-        draw(args, history, args.shape != "block")
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+elastic = args.shape in ("block", "cylinder")
+scene = Elastic(args) if elastic else Rigid(args)
+history = mpm.History()
+for t in mpm.times(args.duration, dt=args.dt):
+    scene.problem.step(t)
+    displacement, rotation = scene.look()
+    history.record(time=float(t), displacement=displacement, rotation=rotation)
+last, turn, slips = exact(args, 0.25 if args.shape == "cylinder" else 1.0)
+work, expected = scene.work()
+figures = {
+    "displacement": displacement, "rotation": rotation, "exact_displacement": last,
+    "exact_rotation": turn, "slips": slips, "dissipated": work,
+    "friction_times_slip": expected,
+    "displacement_error": displacement / last - 1 if last else None,
+    "rotation_error": abs(rotation) / turn - 1 if turn else None,
+    "creep": float(history["displacement"][-1] - history["displacement"][len(history) // 2]),
+    **solver_figures(scene.problem),
+}  # fmt: skip
+error = f" ({100 * figures['displacement_error']:+.2f} %)" if last else ""
+say(
+    f"{args.shape} {'slips' if slips else 'holds'}: {displacement:.6g} m, closed form "
+    f"{last:.6g} m{error}, rotation {rotation:.5g} ({turn:.5g}), friction takes {work:.5g} J, "
+    f"mu N slip {expected:.5g} J, at most {figures['max_newton_iterations']} iterations"
+)
+if not args.no_plot:
+    draw(args, history, args.shape != "block")
+finish(args, figures)

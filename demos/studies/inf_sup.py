@@ -24,12 +24,14 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, numbers, parser, say, stabilisation
+from options import Options, option
+from scene import finish, say, stabilisation
 from scipy import linalg
 
 import dolfinmpm as mpm
@@ -59,24 +61,22 @@ SINGULAR = 1e16
 EXTREMES = (1e-6, 1e-4, 1e-2, 0.1, 0.3, 0.5, 0.7, 0.9, 0.999)
 
 
-def arguments():
-    """The command line."""
-    options = parser("Inf-sup constants and condition numbers of pairs over cuts.")
-    add = options.add_argument
-    words = lambda text: text.split(",")  # noqa: E731
-    add("--pairs", type=words, default=list(PAIRS), help=", ".join(PAIRS))
-    add(
-        "--stabilisations", type=words, default=list(STABILISATIONS), help=", ".join(STABILISATIONS)
+@dataclass
+class Input(Options):
+    """Inf-sup constants and condition numbers of pairs over cuts."""
+
+    pairs: list[str] = option(list(PAIRS), ", ".join(PAIRS))
+    stabilisations: list[str] = option(list(STABILISATIONS), ", ".join(STABILISATIONS))
+    cells: int = option(4, "of the pressure a direction, in cut bodies")
+    uncut: list[int] = option([4, 8, 12], "of the pressure, in whole bodies")
+    places: int = option(24, "of cut bodies")
+    factor_u: float | None = option(
+        None, "penalty of u, units of 1/30; by default that of the basis"
     )
-    add("--cells", type=int, default=4, help="of the pressure a direction, in cut bodies")
-    add("--uncut", type=numbers(int), default=[4, 8, 12], help="of the pressure, in whole bodies")
-    add("--places", type=int, default=24, help="of cut bodies")
-    add("--factor-u", type=float, help="penalty of u, units of 1/30; by default that of the basis")
-    add("--gamma-p", type=float, default=0.3, help="penalty of p, γ h³/3 ∫ [[∂p]] [[∂q]]")
-    return options.parse_args()
+    gamma_p: float = option(0.3, "penalty of p, γ h³/3 ∫ [[∂p]] [[∂q]]")
 
 
-args = arguments()
+args = Input.parse()
 comm = MPI.COMM_WORLD
 
 
@@ -117,7 +117,7 @@ def matrices(pair, kind, cells, ends, around):
     beyond = 0 if around else 1
     n, h = (cells + beyond) * parts, 1.0 / parts
     size = (0.0, 0.0), (n * h, n * h)
-    grid = mesh.create_rectangle(MPI.COMM_SELF, size, (n, n), mesh.CellType.quadrilateral)
+    grid = box_grid(size, (n, n), MPI.COMM_SELF)
     gimp = basis_u == "gimp"
     points = points_in(grid, ends, h, n, gimp)
     V = mpm.Space(grid, basis_u, averaged=gimp)

@@ -13,21 +13,24 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
+from options import natural, option, other_default
 from poroelastic import (
-    PERMEABILITY,
+    MODULUS,
     SMALL,
-    WATER,
-    add_times,
+    InTime,
     consolidation_coefficient,
     instants,
+    mixture,
     node_value,
     report,
 )
-from scene import numbers, parser
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
@@ -36,24 +39,22 @@ TIMES = (0.01, 0.05, 0.1, 0.3, 0.5, 1.0, 2.0)
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("Mandel's problem.")
-    add = options.add_argument
-    add("--poisson", type=float, default=0.2)
-    add("--width", type=float, default=1.0, help="a, half of the slab's (m)")
-    add("--height", type=float, default=0.25, help="b, half of the slab's (m)")
-    add("--cells", type=int, default=32, help="over the half width")
-    add("--points-per-cell", type=int, default=2)
-    add_times(add, numbers, TIMES, 150)
-    given = options.parse_args()
-    given.times.sort()
-    return given
+@dataclass
+class Input(InTime):
+    """Mandel's problem."""
+
+    poisson: float = 0.2
+    width: float = option(1.0, "a, half of the slab's (m)")
+    height: float = option(0.25, "b, half of the slab's (m)")
+    cells: int = option(32, "over the half width")
+    points_per_cell: int = natural(2)
+    times: list[float] = other_default(InTime, "times", list(TIMES))
+    steps: int = other_default(InTime, "steps", 150)
 
 
-args = arguments()
+args = Input.parse()
 comm, nu, a = MPI.COMM_WORLD, args.poisson, args.width
-E = 1e6
+E = MODULUS
 G, c_v = E / (2 * (1 + nu)), consolidation_coefficient(E, nu)
 force = SMALL * E * a
 h = a / args.cells
@@ -86,19 +87,13 @@ def series(times, count=200):
 
 
 # %%
-grid = mesh.create_rectangle(
-    comm, [(0, 0), (a + h, b + h)], (args.cells + 1, rows + 1), mesh.CellType.quadrilateral
-)
+grid = box_grid([(0, 0), (a + h, b + h)], (args.cells + 1, rows + 1))
 points = mpm.fill(grid, mpm.Box((0, 0), (a, b)), args.points_per_cell, 1.0)
 V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
 u, v = V.increment, V.test
 top = mpm.Surface(points, lambda x: x[1] > b * (1 - 1e-9), (0, 1))
 side = mpm.Surface(points, lambda x: x[0] > a * (1 - 1e-9), (1, 0))
-F = mpm.poromechanics(
-    mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
-    permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=side, theta=args.theta,
-    strain="small",
-)  # fmt: skip
+F = mixture(args, points, V, Q, side)
 # a membrane that stays flat, loaded by all of the force
 tension = fem.Constant(grid, 1e4 * E * a)
 F += top.density * tension * ufl.grad(u)[1, 0] * ufl.grad(v)[1, 0] * points.dX

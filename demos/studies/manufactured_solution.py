@@ -34,61 +34,56 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, numbers, parser, say
+from options import BASES, Options, natural, option, switch
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
 
-BASES = ("linear", "gimp", "bspline2", "bspline3")
 E, RHO = 1e3, 1.0
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("A manufactured solution in full and in cut cells: observed orders.")
-    options.add_argument("--basis", choices=(*BASES, "all"), default="all")
-    options.add_argument(
-        "--averaged", choices=("on", "off"), default="on",
-        help="whether splines are averaged over the points' domains",
-    )  # fmt: skip
-    options.add_argument("--scene", choices=("full", "cut", "both"), default="both")
-    options.add_argument(
-        "--cells", type=numbers(int), default=[8, 16, 32, 64], help="a unit of length, by commas"
+@dataclass
+class Input(Options):
+    """A manufactured solution in full and in cut cells: observed orders."""
+
+    basis: str = option("all", choices=(*BASES, "all"))
+    averaged: str = switch("on", "whether splines are averaged over the points' domains")
+    scene: str = option("both", choices=("full", "cut", "both"))
+    cells: list[int] = option([8, 16, 32, 64], "a unit of length, by commas", least=2)
+    cuts: list[float] = option(
+        [1e-3, 0.37],
+        "share of its first cell that the free edge fills, by commas",
+        least=0,
+        below=1,
     )
-    options.add_argument(
-        "--cuts", type=numbers(float), default=[1e-3, 0.37],
-        help="share of its first cell that the free edge fills, by commas",
-    )  # fmt: skip
-    options.add_argument("--points-per-cell", type=int, default=4, help="in each direction")
-    options.add_argument("--amplitude", type=float, default=0.1, help="A (m), below 1/π")
-    options.add_argument("--nu", type=float, default=0.3, help="Poisson's ratio, full cells only")
-    options.add_argument("--law", choices=("neo-hookean", "hencky"), default="neo-hookean")
-    options.add_argument(
-        "--steps", type=int, help="of load; by default so many that a step moves no point "
-        "further than a fifth of a cell",
-    )  # fmt: skip
-    options.add_argument("--aligned", choices=("body", "grid"), default="body")
-    options.add_argument(
-        "--stabilisation",
-        choices=("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"),
-        default="ghost",
+    points_per_cell: int = natural(4, "in each direction")
+    amplitude: float = option(0.1, "A (m), below 1/π")
+    nu: float = option(0.3, "Poisson's ratio, full cells only")
+    law: str = option("neo-hookean", choices=("neo-hookean", "hencky"))
+    steps: int | None = natural(
+        None,
+        "of load; by default so many that a step moves no point further than a fifth of a cell",
     )
-    given = options.parse_args()
-    if not 0 < abs(given.amplitude) < 1 / np.pi:
-        options.error(f"amplitude = {given.amplitude} must be between 0 and 1/π in size")
-    if given.steps is not None and given.steps < 1:
-        options.error(f"steps = {given.steps} must be at least 1")
-    if min(given.cells) < 2 or not all(0 <= cut < 1 for cut in given.cuts):
-        options.error("there must be at least 2 cells, and cuts must be in [0, 1)")
-    return given
+    aligned: str = option("body", choices=("body", "grid"))
+    stabilisation: str = option(
+        "ghost", choices=("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
+    )
+
+    def _check(self):
+        if not 0 < abs(self.amplitude) < 1 / np.pi:
+            raise ValueError(f"amplitude = {self.amplitude} must be between 0 and 1/π in size")
 
 
-args = arguments()
+args = Input.parse()
 
 # %% [markdown]
 # ## The solution
@@ -128,7 +123,7 @@ class Solution:
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # With `aligned="body"` equal parts of the body are the points' first domains, wherever the
 # grid's lines are; `--aligned grid` divides the grid's cells and trims what the edge cuts.
 
@@ -144,12 +139,7 @@ def block(basis, cells, cut=None):
     side, nu = (1.0, args.nu) if full else (0.5, 0.0)
     h = side / (cells if full else cells // 2 + cut)
     across = cells if full else int(np.ceil((side + 1.5 * max(args.amplitude, 0.0)) / h)) + 1
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD,
-        [(0, 0), (across * h, across * h)],
-        (across, across),
-        mesh.CellType.quadrilateral,
-    )
+    grid = box_grid([(0, 0), (across * h, across * h)], (across, across))
     body = mpm.Box((0, 0), (side, side))
     points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned=args.aligned)
     V = mpm.Space(grid, basis, averaged=args.averaged == "on" or basis == "gimp")

@@ -2,70 +2,52 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from options import BASES, Options, natural, option, positive
 
 import dolfinmpm as mpm
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import moments
 
 INTEGRATORS = ("newmark", "generalised-alpha", "explicit")
-BASES = ("linear", "gimp", "bspline2", "bspline3")
 MAPPINGS = ("pic", "flip", "accel", "apic", "tpic", "xpic", "fmpm")
 
 
-def add_options(
-    options: argparse.ArgumentParser, h: float | None, points_per_cell: int = 2
-) -> None:
-    """Add what all of them take to a command line, with these defaults."""
-    options.add_argument("--h", type=float, default=h, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=points_per_cell)
-    options.add_argument("--basis", choices=BASES, default="gimp")
-    options.add_argument("--integrator", choices=INTEGRATORS, default="newmark")
-    options.add_argument(
-        "--rho-inf", type=float, default=1.0, help="of generalised-α; 1 is the midpoint rule"
+@dataclass
+class Moving(Options):
+    """The options of studies of bodies in motion."""
+
+    h: float | None = positive(None, "size of the cells (m)")
+    points_per_cell: int = natural(2)
+    basis: str = option("gimp", choices=BASES)
+    integrator: str = option("newmark", choices=INTEGRATORS)
+    rho_inf: float = option(1.0, "of generalised-α; 1 is the midpoint rule")
+    courant: float | None = option(
+        None, "c Δt/h, or in explicit steps the share of the critical one; by default what suits"
     )
-    options.add_argument(
-        "--courant", type=float,
-        help="c Δt/h, or in explicit steps the share of the critical one; by default what suits",
-    )  # fmt: skip
-    options.add_argument(
-        "--mass", choices=("lumped", "consistent", "aggregated"), default="consistent",
-        help="aggregated: lumped behind aggregation, which ties the nodes of ill-filled cells",
-    )  # fmt: skip
-    options.add_argument("--mapping", choices=MAPPINGS, help="by default what the solver takes")
-    options.add_argument("--order", type=int, default=2, help="stages of xpic and fmpm")
-    options.add_argument(
-        "--stabilisation", choices=("none", "ghost", "aggregation", "weak-aggregation", "extended"),
-        help="by default ghost with a consistent mass, aggregation with an aggregated one",
-    )  # fmt: skip
-    options.add_argument(
-        "--ghost-mass", type=float, help="ghost penalty of a consistent mass, in units of ρ"
+    mass: str = option(
+        "consistent",
+        "aggregated: lumped behind aggregation, which ties the nodes of ill-filled cells",
+        choices=("lumped", "consistent", "aggregated"),
     )
+    mapping: str | None = option(None, "by default what the solver takes", choices=MAPPINGS)
+    order: int = option(2, "stages of xpic and fmpm")
+    stabilisation: str | None = option(
+        None,
+        "by default ghost with a consistent mass, aggregation with an aggregated one",
+        choices=("none", "ghost", "aggregation", "weak-aggregation", "extended"),
+    )
+    ghost_mass: float | None = option(None, "ghost penalty of a consistent mass, in units of ρ")
+
+    def _check(self) -> None:
+        self.fill(courant=0.8 if self.integrator == "explicit" else 1.0)
 
 
-def parse(
-    options: argparse.ArgumentParser, courant: float = 1.0, share: float = 0.8
-) -> argparse.Namespace:
-    """The command line, with the length of steps that suits its integrator.
-
-    Args:
-        options: The command line with what `add_options` adds.
-        courant: c Δt/h of implicit steps where none is given.
-        share: Share of the critical step that explicit ones take where none is given.
-    """
-    given = options.parse_args()
-    if given.courant is None:
-        given.courant = share if given.integrator == "explicit" else courant
-    return given
-
-
-def problem_of(
-    args: argparse.Namespace, form: Any, u: Any, points: Any, bcs: Any = (), **explicit: Any
-) -> Any:
+def problem_of(args: Moving, form: Any, u: Any, points: Any, bcs: Any = (), **explicit: Any) -> Any:
     """The problem that the command line asks for, with further options of explicit steps."""
     usual = {"lumped": "none", "consistent": "ghost", "aggregated": "aggregation"}
     stages = {"order": args.order} if args.mapping in ("xpic", "fmpm") else {}
@@ -83,7 +65,7 @@ def problem_of(
     return mpm.Explicit(form, u, points, bcs, courant=args.courant, **options, **explicit)
 
 
-def times_of(args: argparse.Namespace, end: float, speed: float, label: str = "") -> Iterator[Any]:
+def times_of(args: Moving, end: float, speed: float, label: str = "") -> Iterator[Any]:
     """Times to step to (s): Courant's number of h/c, or what an explicit problem chooses."""
     dt = "auto" if args.integrator == "explicit" else args.courant * args.h / speed
     # figures are of every step

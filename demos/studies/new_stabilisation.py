@@ -12,11 +12,15 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import BASES, Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -72,30 +76,27 @@ OWN = {
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("New penalties in UFL against the built-in stabilisations.")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
-    )
-    options.add_argument("--stabilisations", default=",".join((*BUILT_IN, *OWN)), help="by commas")
-    options.add_argument("--offsets", type=int, default=20, help="number of places")
-    options.add_argument("--factor", type=float, default=1.0, help="factor of the new jumps")
-    options.add_argument("--eta", type=float, default=1e-3, help="share in whole cells")
-    options.add_argument(
-        "--cells", default="8,16,32", help="a unit of length, for the errors; by commas"
-    )
-    options.add_argument("--points-per-cell", type=int, default=3, help="in each direction")
-    given = options.parse_args()
-    for stabilisation in given.stabilisations.split(","):
-        if stabilisation not in BUILT_IN and stabilisation not in OWN:
-            options.error(
-                f"stabilisation {stabilisation!r} must be one of {', '.join((*BUILT_IN, *OWN))}"
-            )
-    return given
+@dataclass
+class Input(Options):
+    """New penalties in UFL against the built-in stabilisations."""
+
+    basis: str = option("gimp", choices=BASES)
+    stabilisations: str = option(",".join((*BUILT_IN, *OWN)), "by commas")
+    offsets: int = option(20, "number of places")
+    factor: float = option(1.0, "factor of the new jumps")
+    eta: float = option(1e-3, "share in whole cells")
+    cells: str = option("8,16,32", "a unit of length, for the errors; by commas")
+    points_per_cell: int = natural(3, "in each direction")
+
+    def _check(self):
+        for stabilisation in self.stabilisations.split(","):
+            if stabilisation not in BUILT_IN and stabilisation not in OWN:
+                raise ValueError(
+                    f"stabilisation {stabilisation!r} must be one of {', '.join((*BUILT_IN, *OWN))}"
+                )
 
 
-args = arguments()
+args = Input.parse()
 stabilisations = args.stabilisations.split(",")
 
 
@@ -116,9 +117,7 @@ def stabilised(form, stabilisation, points, u, v):
 def conditioning(stabilisation, offset, angle):
     """Condition numbers and critical step of the block at an offset (cells), turned (degrees)."""
     n = 10
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (n, n)], (n, n))
     corner = np.array([3 + offset, 3 + 0.7 * offset])
     points = mpm.fill(grid, mpm.TurnedBox(corner, corner + 4, angle), 2, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)
@@ -146,12 +145,7 @@ def error(stabilisation, cells):
     """Relative error of the displacement, and what it took."""
     h = 0.5 / (cells // 2 + 1e-3)
     across = int(np.ceil((0.5 + 1.5 * AMPLITUDE) / h)) + 1
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD,
-        [(0, 0), (across * h, across * h)],
-        (across, across),
-        mesh.CellType.quadrilateral,
-    )
+    grid = box_grid([(0, 0), (across * h, across * h)], (across, across))
     body = mpm.Box((0, 0), (0.5, 0.5))
     points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)

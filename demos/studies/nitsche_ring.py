@@ -27,45 +27,35 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, numbers, parser, say
+from options import BASES, Options, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm.body.contours import inside, kuhn
 
 
-def arguments():
-    """The command line."""
-    options = parser("A ring whose hole is widened, on a grid that does not fit it.")
-    options.add_argument(
-        "--cells", type=numbers(int), default=[4, 8, 16, 32], help="cells in the wall, by commas"
+@dataclass
+class Input(Options):
+    """A ring whose hole is widened, on a grid that does not fit it."""
+
+    cells: list[int] = option([4, 8, 16, 32], "cells in the wall, by commas", least=2)
+    offset: float = option(0.3, "of the ring's middle from a node, in cells")
+    method: str = option("nitsche", choices=("nitsche", "skew", "penalty"))
+    penalty: float | None = option(None, "penalty in M/h; the cells' own by default")
+    basis: str = option("linear", choices=BASES)
+    stabilisation: str = option(
+        "ghost", choices=("none", "ghost", "aggregation", "weak-aggregation")
     )
-    options.add_argument(
-        "--offset", type=float, default=0.3, help="of the ring's middle from a node, in cells"
-    )
-    options.add_argument("--method", choices=("nitsche", "skew", "penalty"), default="nitsche")
-    options.add_argument("--penalty", type=float, help="penalty in M/h; the cells' own by default")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="linear"
-    )
-    options.add_argument(
-        "--stabilisation", choices=("none", "ghost", "aggregation", "weak-aggregation"),
-        default="ghost",
-    )  # fmt: skip
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument(
-        "--positions", type=int, default=0, help="of the ring for which κ is computed, at 4 cells"
-    )
-    given = options.parse_args()
-    if min(given.cells) < 2 or not 0 <= given.poisson < 0.5:
-        options.error("there must be two cells in the wall, and Poisson's ratio in [0, 0.5)")
-    return given
+    poisson: float = option(0.3, least=0, below=0.5)
+    positions: int = option(0, "of the ring for which κ is computed, at 4 cells")
 
 
-args = arguments()
+args = Input.parse()
 comm, a, b, nu, E, widening = MPI.COMM_WORLD, 1.0, 2.0, args.poisson, 1.0, 1e-6
 A = 1 / (1 + (b / a) ** 2 / (1 - 2 * nu))
 B = 1 - A
@@ -97,7 +87,7 @@ def ring(cells, offset):
     h = (b - a) / cells
     count = 2 * cells + 2
     ends = [(-count * h,) * 2, (count * h,) * 2]
-    grid = mesh.create_rectangle(comm, ends, (2 * count,) * 2, mesh.CellType.quadrilateral)
+    grid = box_grid(ends, (2 * count,) * 2)
     middle = h * offset * np.array([1.0, 0.7])
 
     def radius(x):

@@ -18,37 +18,36 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
-from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from grids import box_grid
+from options import Options, natural, option, positive
+from scene import finish, say, solver_figures
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A rigid plate presses on an elastic cube.")
-    options.add_argument("--stiffness-per-area", type=float, default=1e8, help="κ (Pa/m)")
-    options.add_argument("--height", type=float, default=0.8, help="of the cube (m)")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
-    options.add_argument("--h", type=float, default=0.4, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument("--steps", type=int, default=20)
-    options.add_argument("--displacement", type=float, default=0.2, help="of the plate (m)")
-    options.add_argument("--dimension", type=int, choices=(2, 3), default=3)
-    options.add_argument("--basis", choices=("gimp", "bspline2", "bspline3"), default="gimp")
-    options.add_argument("--contact", choices=("surface", "corners"), default="surface")
-    options.add_argument("--penetration", type=float, help="bound of the overlap (m)")
-    given = options.parse_args(words)
-    sizes = given.stiffness_per_area, given.height, given.modulus, given.h, given.displacement
-    if not min(sizes) > 0 or given.displacement >= given.height:
-        options.error("sizes must be positive, and the displacement less than the height")
-    if min(given.steps, given.points_per_cell) < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    return given
+@dataclass
+class Input(Options):
+    """A rigid plate presses on an elastic cube."""
+
+    stiffness_per_area: float = positive(1e8, "κ (Pa/m)")
+    height: float = positive(0.8, "of the cube (m)")
+    modulus: float = positive(1e6, "Young's modulus (Pa)")
+    h: float = positive(0.4, "size of the cells (m)")
+    points_per_cell: int = natural(2, "in each direction")
+    steps: int = natural(20)
+    displacement: float = positive(0.2, "of the plate (m)")
+    dimension: int = option(3, choices=(2, 3))
+    basis: str = option("gimp", choices=("gimp", "bspline2", "bspline3"))
+    contact: str = option("surface", choices=("surface", "corners"))
+    penetration: float | None = option(None, "bound of the overlap (m)")
+
+    def _check(self):
+        if self.displacement >= self.height:
+            raise ValueError("the displacement must be less than the height")
 
 
 def exact(E, kappa, H, z):
@@ -66,10 +65,7 @@ def solve(args):
     n = max(1, round(H / args.h))
     h = H / n
     corner = (H,) * (d - 1)
-    make = mesh.create_rectangle if d == 2 else mesh.create_box
-    cells = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
-    ends = [(0.0,) * d, (*corner, H + h)]
-    grid = make(MPI.COMM_WORLD, ends, (n,) * (d - 1) + (n + 1,), cells)
+    grid = box_grid([(0.0,) * d, (*corner, H + h)], (n,) * (d - 1) + (n + 1,))
     points = mpm.fill(grid, mpm.Box((0.0,) * d, (*corner, H)), args.points_per_cell, 1000.0)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
@@ -110,41 +106,25 @@ def solve(args):
 
 def draw(args, points, history, figures, plate):
     """Force against the plate's height, and the closed form; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    if MPI.COMM_WORLD.rank:
-        return
     area = args.height ** (args.dimension - 1)
     z = np.linspace(args.height - args.displacement, args.height, 50)[:-1]
     curve = [-exact(args.modulus, args.stiffness_per_area, args.height, s)[1] for s in z]
-    figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
-    axes.plot(args.height - z, np.array(curve) / 1e3, color="k", lw=1, label="closed form")
-    sunk = args.height - history["height"]
-    axes.plot(sunk, history["force"] / area / 1e3, "o", ms=4, label="material points")
-    axes.set(xlabel="displacement of the plate (m)", ylabel="pressure (kPa)")
-    axes.legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / "plate_on_cube.png", dpi=200)
-    plt.close(figure)
+    with mpm.figure(args.output / "plate_on_cube.png", 4.0, 3.0) as (_, axes):
+        axes.plot(args.height - z, np.array(curve) / 1e3, color="k", lw=1, label="closed form")
+        sunk = args.height - history["height"]
+        axes.plot(sunk, history["force"] / area / 1e3, "o", ms=4, label="material points")
+        axes.set(xlabel="displacement of the plate (m)", ylabel="pressure (kPa)")
+        axes.legend()
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    figures, points, history, plate = solve(args)
-    say(
-        f"height {figures['height']:.9f} m ({figures['exact_height']:.9f}), stress "
-        f"{figures['stress']:.6g} Pa ({figures['exact_stress']:.6g}), at most "
-        f"{figures['max_newton_iterations']} Newton iterations per step"
-    )
-    if not args.no_plot:
-        draw(args, points, history, figures, plate)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+figures, points, history, plate = solve(args)
+say(
+    f"height {figures['height']:.9f} m ({figures['exact_height']:.9f}), stress "
+    f"{figures['stress']:.6g} Pa ({figures['exact_stress']:.6g}), at most "
+    f"{figures['max_newton_iterations']} Newton iterations per step"
+)
+if not args.no_plot:
+    draw(args, points, history, figures, plate)
+finish(args, figures)

@@ -38,12 +38,14 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import ufl
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import Options, natural, option, positive
+from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -51,37 +53,30 @@ COMM = MPI.COMM_WORLD
 LAWS = {"mohr-coulomb": mpm.materials.MohrCoulomb, "drucker-prager": mpm.materials.DruckerPrager}
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A plough is dragged through sand.")
-    add = options.add_argument
-    add("--distance", type=float, default=1.0, help="of the drag (m)")
-    add("--h", type=float, default=0.25, help="size of the cells around the plough (m)")
-    add("--step", type=float, default=0.2, help="that the plough goes at once, in cells")
-    add("--depth", type=float, default=1.0, help="of the share in the sand (m)")
-    add("--half-width", type=float, default=0.5, help="of the share (m)")
-    add("--plan-angle", type=float, default=45.0, help="between face and way, seen from above (°)")
-    add("--rake", type=float, default=90.0, help="between the nose and the ground (°)")
-    add("--relative-density", type=float, default=0.44)
-    add("--friction", type=float, default=0.3, help="of steel on sand")
-    add("--law", choices=tuple(LAWS), default="mohr-coulomb")
-    add("--points-per-cell", type=int, default=2)
-    add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
-    add("--ghost", type=float, help="factor of the stabilisation's penalty; see above")
-    add("--penalty", type=float, default=1.25, help="κ h/E")
-    add("--domains", choices=("stretch", "volume"), default="volume")
-    add("--corners", choices=("domains", "material"), default="domains")
-    add("--growth", type=float, default=1.5, help="of cells beyond the fine ones")
-    add("--solver", choices=("auto", "direct", "iterative"), default="auto")
-    add("--tolerance", type=float, default=2e-4)
-    given = options.parse_args(words)
-    sizes = given.distance, given.h, given.step, given.depth, given.half_width, given.penalty
-    if not min(sizes) > 0 or given.step > 1 or given.growth < 1:
-        options.error("sizes must be positive, the step at most a cell, growth at least 1")
-    if not (20 <= given.plan_angle <= 80 and 30 <= given.rake <= 90):
-        options.error("plan-angle must be in [20, 80], rake in [30, 90] degrees")
-    return given
+@dataclass
+class Input(Options):
+    """A plough is dragged through sand."""
+
+    distance: float = positive(1.0, "of the drag (m)")
+    h: float = positive(0.25, "size of the cells around the plough (m)")
+    step: float = positive(0.2, "that the plough goes at once, in cells", most=1)
+    depth: float = positive(1.0, "of the share in the sand (m)")
+    half_width: float = positive(0.5, "of the share (m)")
+    plan_angle: float = option(45.0, "between face and way, seen from above (°)", least=20, most=80)
+    rake: float = option(90.0, "between the nose and the ground (°)", least=30, most=90)
+    relative_density: float = 0.44
+    friction: float = option(0.3, "of steel on sand")
+    law: str = option("mohr-coulomb", choices=tuple(LAWS))
+    points_per_cell: int = natural(2)
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    stabilisation: str = option("ghost", choices=("none", "ghost", "aggregation"))
+    ghost: float | None = option(None, "factor of the stabilisation's penalty; see above")
+    penalty: float = positive(1.25, "κ h/E")
+    domains: str = option("volume", choices=("stretch", "volume"))
+    corners: str = option("domains", choices=("domains", "material"))
+    growth: float = option(1.5, "of cells beyond the fine ones", least=1)
+    solver: str = option("auto", choices=("auto", "direct", "iterative"))
+    tolerance: float = 2e-4
 
 
 # %%
@@ -311,36 +306,30 @@ def draw(args, scene):
         figure.colorbar(drawn, ax=bottom, label="height of the surface (m)")
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    scene = Scene(args)
-    started = time.perf_counter()
-    scene.run()
-    history = scene.history
-    pull = history["pull"]
-    late = history["distance"] > 0.8 * history["distance"][-1]
-    linear = history["linear"]
-    figures = {
-        "pull": float(pull[late].mean()), "last_pull": float(pull[-1]), "peak": float(pull.max()),
-        "heap": float(history["heap"][-1]), "at_rest": float(pull[0]),
-        "lift": float(history["lift"][-1]), "distances": history["distance"].tolist(),
-        "pulls": pull.tolist(), "heaps": history["heap"].tolist(),
-        "linear_iterations": float(linear[linear > 0].mean()) if (linear > 0).any() else None,
-        "seconds_a_step": float(np.median(history["seconds"])),
-        "seconds": time.perf_counter() - started, **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"pull {figures['pull'] / 1e3:.2f} kN over the last fifth of {args.distance:g} m (at most "
-        f"{figures['peak'] / 1e3:.2f}), heap {figures['heap']:.3f} m; {figures['unknowns']} "
-        f"unknowns, {figures['points']} points, {figures['newton_iterations']} iterations in "
-        f"{len(history)} steps, {figures['halvings']} halvings, {figures['seconds']:.0f} s"
-    )
-    if not args.no_plot:
-        draw(args, scene)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+started = time.perf_counter()
+scene.run()
+history = scene.history
+pull = history["pull"]
+late = history["distance"] > 0.8 * history["distance"][-1]
+linear = history["linear"]
+figures = {
+    "pull": float(pull[late].mean()), "last_pull": float(pull[-1]), "peak": float(pull.max()),
+    "heap": float(history["heap"][-1]), "at_rest": float(pull[0]),
+    "lift": float(history["lift"][-1]), "distances": history["distance"].tolist(),
+    "pulls": pull.tolist(), "heaps": history["heap"].tolist(),
+    "linear_iterations": float(linear[linear > 0].mean()) if (linear > 0).any() else None,
+    "seconds_a_step": float(np.median(history["seconds"])),
+    "seconds": time.perf_counter() - started, **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"pull {figures['pull'] / 1e3:.2f} kN over the last fifth of {args.distance:g} m (at most "
+    f"{figures['peak'] / 1e3:.2f}), heap {figures['heap']:.3f} m; {figures['unknowns']} "
+    f"unknowns, {figures['points']} points, {figures['newton_iterations']} iterations in "
+    f"{len(history)} steps, {figures['halvings']} halvings, {figures['seconds']:.0f} s"
+)
+if not args.no_plot:
+    draw(args, scene)
+finish(args, figures)

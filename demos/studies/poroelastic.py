@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from grids import box_grid
+from options import Options, natural, option, other_default
 from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
 # Of water that is next to nothing, and of soils whose strains are
 WATER = mpm.Fluid(density=1000.0, gravity=10.0)
+MODULUS = 1e6  # E (Pa)
 PERMEABILITY = 1e-6  # m/s
 SMALL = 1e-6  # largest stress, by E
 
@@ -22,12 +26,26 @@ def consolidation_coefficient(E: float, nu: float) -> float:
     return PERMEABILITY * M / WATER.unit_weight
 
 
-def add_times(add: Callable[..., Any], numbers: Callable, times: Sequence[float], steps: int):
-    """Arguments of when to measure, and in how many steps."""
-    add("--times", type=numbers(float), default=list(times), help="at which to measure")
-    add("--steps", type=int, default=steps, help="up to the last time, in geometric progression")
-    add("--theta", type=float, default=0.5, help="1: backward Euler; 0.5: Crank–Nicolson")
-    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="none")
+@dataclass
+class InTime(Options):
+    """Options of when to measure, and in how many steps."""
+
+    times: list[float] = option([], "at which to measure")
+    steps: int = natural(100, "up to the last time, in geometric progression")
+    theta: float = option(0.5, "1: backward Euler; 0.5: Crank–Nicolson")
+    stabilisation: str = option("none", choices=("none", "ghost", "aggregation"))
+
+    def _check(self) -> None:
+        self.times.sort()
+
+
+def mixture(args: Any, points: Any, V: mpm.Space, Q: mpm.Space, drained: mpm.Surface) -> Any:
+    """Weak form of soil with water, of E = MODULUS and small strain, that drains at a surface."""
+    return mpm.poromechanics(
+        mpm.materials.Hencky(E=MODULUS, nu=args.poisson), points, (V.increment, Q.increment),
+        (V.test, Q.test), permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=drained,
+        theta=args.theta, strain="small",
+    )  # fmt: skip
 
 
 def instants(times: Sequence[float], steps: int) -> np.ndarray:
@@ -132,31 +150,27 @@ def round_series(nu: float, sphere: bool, times: Sequence[float]) -> tuple[np.nd
     return decay @ (centre - rim_strain), last - decay @ shortening
 
 
-def run_round(title: str, axisymmetric: bool) -> None:
+@dataclass
+class Round(InTime):
+    """The options of a cylinder or a sphere."""
+
+    poisson: float = 0.2
+    cells: int = natural(32, "over the radius")
+    points_per_cell: int = natural(3)
+    stabilisation: str = other_default(InTime, "stabilisation", "aggregation")
+
+
+def run_round(args: Round, axisymmetric: bool) -> None:
     """A cylinder or a sphere that is squeezed and drains at its edge: study of both."""
     import ufl
-    from dolfinx import fem, mesh
+    from dolfinx import fem
     from mpi4py import MPI
-    from scene import numbers, parser
 
-    options = parser(title)
-    add = options.add_argument
-    add("--poisson", type=float, default=1 / 3 if axisymmetric else 0.2)
-    add("--cells", type=int, default=32, help="over the radius")
-    add("--points-per-cell", type=int, default=3)
-    usual = (0.01, 0.02, 0.04, 0.06, 0.1, 0.2, 0.5) if axisymmetric else (0.01, 0.05, 0.1, 0.2, 0.5)
-    add_times(add, numbers, usual, 100)
-    options.set_defaults(stabilisation="aggregation")
-    args = options.parse_args()
-    args.times.sort()
-    comm, nu, a, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
+    comm, nu, a, E = MPI.COMM_WORLD, args.poisson, 1.0, MODULUS
     c_v, p0 = consolidation_coefficient(E, nu), SMALL * E
     M = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
     h = a / (args.cells - 0.37)
-    grid = mesh.create_rectangle(
-        comm, [(0, 0), (args.cells * h + h, args.cells * h + h)], [args.cells + 1] * 2,
-        mesh.CellType.quadrilateral,
-    )  # fmt: skip
+    grid = box_grid([(0, 0), (args.cells * h + h, args.cells * h + h)], [args.cells + 1] * 2)
     turned = {"axisymmetric": True} if axisymmetric else {}
     arc = np.linspace(0, 0.5 * np.pi, 400)
     shape = mpm.Polygon([(0.0, 0.0), *zip(a * np.cos(arc), a * np.sin(arc))])
@@ -164,11 +178,7 @@ def run_round(title: str, axisymmetric: bool) -> None:
     V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
     u, v = V.increment, V.test
     edge = rim(points, a)
-    F = mpm.poromechanics(
-        mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
-        permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=edge, theta=args.theta,
-        strain="small",
-    )  # fmt: skip
+    F = mixture(args, points, V, Q, edge)
     load = fem.Constant(grid, -p0)
     F -= load * ufl.dot(edge.area, edge.at(v)) / points.V0 * points.dX
     bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "bottom", 1)

@@ -18,23 +18,32 @@ import hashlib
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 
 import benchmark_plastic
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 
-options = parser("Whether repeated runs end with the same bits.")
-options.add_argument("--scene", choices=("solid", "sand"), default="solid")
-options.add_argument("--cells", type=int, help="15 along a solid's edge, 50 a metre of sand")
-options.add_argument("--count", type=int, default=3, help="runs in interpreters of their own")
-options.add_argument("--within", type=int, default=2, help="runs in this one")
-options.add_argument("--steps", type=int, default=3)
-options.add_argument("--busy", action="store_true", help="beside a process that works on and off")
-args = options.parse_args()
+
+@dataclass
+class Input(Options):
+    """Whether repeated runs end with the same bits."""
+
+    scene: str = option("solid", choices=("solid", "sand"))
+    cells: int | None = option(None, "15 along a solid's edge, 50 a metre of sand")
+    count: int = option(3, "runs in interpreters of their own")
+    within: int = option(2, "runs in this one")
+    steps: int = natural(3)
+    busy: bool = option(False, "beside a process that works on and off")
+
+
+args = Input.parse()
 
 BUSY = """
 import time
@@ -50,9 +59,7 @@ while True:
 def solid(n):
     """An elastic block on rollers, and a function that takes its k-th step."""
     h, side = 1.0 / n, 1.0 + 4.0 / n
-    grid = mesh.create_box(
-        MPI.COMM_WORLD, [(0, 0, 0), (side,) * 3], (n + 4,) * 3, mesh.CellType.hexahedron
-    )
+    grid = box_grid([(0, 0, 0), (side,) * 3], (n + 4,) * 3)
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1 - 0.7 * h)), 2, 1000.0)
     V = mpm.Space(grid)
     u, v = V.increment, V.test

@@ -15,12 +15,13 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import mesh
-from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from grids import box_grid
+from options import Options, natural, option, positive
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -29,37 +30,33 @@ GRAVITY = 9.81
 LEAST = 1e-3
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A smooth retaining wall is pushed into the ground, or drawn away.")
-    options.add_argument("--friction-angle", type=float, default=33.5, help="φ (degrees)")
-    options.add_argument("--dilation-angle", type=float, default=3.5, help="ψ (degrees)")
-    options.add_argument("--cohesion", type=float, default=300.0, help="c (Pa)")
-    options.add_argument("--unit-weight", type=float, default=1670 * GRAVITY, help="γ (N/m³)")
-    options.add_argument("--height", type=float, default=1.0, help="H (m)")
-    options.add_argument("--length", type=float, default=3.0, help="of the ground, in heights")
-    options.add_argument("--modulus", type=float, default=26e6, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--direction", choices=("passive", "active"), default="passive")
-    options.add_argument("--wall-friction", type=float, default=0.0, help="coefficient")
-    options.add_argument("--base", choices=("smooth", "rough"), default="smooth")
-    options.add_argument("--h", type=float, default=0.125, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2)
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    options.add_argument("--steps", type=int, default=40)
-    options.add_argument("--displacement", type=float, help="last one of the wall (m)")
-    options.add_argument("--penalty", type=float, help="κ h/E; 100 h/m by default")
-    options.add_argument("--stabilisation", default="none")
-    given = options.parse_args(words)
-    given.penalty = 100.0 * given.h if given.penalty is None else given.penalty
-    sizes = given.unit_weight, given.height, given.modulus, given.h, given.penalty, given.length
-    if not min(sizes) > 0 or given.cohesion < 0 or not 0 <= given.friction_angle < 60:
-        options.error("sizes must be positive, cohesion not negative, the angle in [0, 60) degrees")
-    if given.friction_angle == 0 and given.cohesion == 0:
-        options.error("ground without friction and cohesion carries nothing")
-    if min(given.steps, given.points_per_cell) < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    return given
+@dataclass
+class Input(Options):
+    """A smooth retaining wall is pushed into the ground, or drawn away."""
+
+    friction_angle: float = option(33.5, "φ (degrees)", least=0, below=60)
+    dilation_angle: float = option(3.5, "ψ (degrees)")
+    cohesion: float = option(300.0, "c (Pa)", least=0)
+    unit_weight: float = positive(1670 * GRAVITY, "γ (N/m³)")
+    height: float = positive(1.0, "H (m)")
+    length: float = positive(3.0, "of the ground, in heights")
+    modulus: float = positive(26e6, "Young's modulus (Pa)")
+    poisson: float = 0.3
+    direction: str = option("passive", choices=("passive", "active"))
+    wall_friction: float = option(0.0, "coefficient")
+    base: str = option("smooth", choices=("smooth", "rough"))
+    h: float = positive(0.125, "size of the cells (m)")
+    points_per_cell: int = natural(2)
+    basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
+    steps: int = natural(40)
+    displacement: float | None = option(None, "last one of the wall (m)")
+    penalty: float | None = positive(None, "κ h/E; 100 h/m by default")
+    stabilisation: str = "none"
+
+    def _check(self):
+        self.fill(penalty=100.0 * self.h)
+        if self.friction_angle == 0 and self.cohesion == 0:
+            raise ValueError("ground without friction and cohesion carries nothing")
 
 
 def rankine(args):
@@ -83,8 +80,7 @@ class Scene:
         self.h = h = H / n
         wide, room = round(args.length * n), 2
         ends = [(-room * h, 0.0), (wide * h, H + 2 * h)]
-        cells = mesh.CellType.quadrilateral
-        grid = mesh.create_rectangle(MPI.COMM_WORLD, ends, (wide + room, n + 2), cells)
+        grid = box_grid(ends, (wide + room, n + 2))
         density, sign = args.unit_weight / GRAVITY, 1 if args.direction == "passive" else -1
         ground = mpm.Box((0, 0), (wide * h, H))
         self.points = points = mpm.fill(grid, ground, args.points_per_cell, density)
@@ -143,48 +139,33 @@ def reached(history, sign):
 
 def draw(args, history, figures):
     """Thrust against displacement; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    if MPI.COMM_WORLD.rank:
-        return
-    figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
-    axes.axhline(figures["exact_thrust"] / 1e3, color="k", lw=1, label="Rankine")
-    s, P = history["displacement"], history["thrust"]
-    axes.plot(1e3 * s, P / 1e3, "o-", ms=3, lw=1, label="material points")
-    axes.set(xlabel="displacement of the wall (mm)", ylabel="thrust (kN/m)", ylim=(0, None))
-    axes.legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"retaining_wall_{args.direction}.png", dpi=200)
-    plt.close(figure)
+    path = args.output / f"retaining_wall_{args.direction}.png"
+    with mpm.figure(path, 4.0, 3.0) as (_, axes):
+        axes.axhline(figures["exact_thrust"] / 1e3, color="k", lw=1, label="Rankine")
+        s, P = history["displacement"], history["thrust"]
+        axes.plot(1e3 * s, P / 1e3, "o-", ms=3, lw=1, label="material points")
+        axes.set(xlabel="displacement of the wall (mm)", ylabel="thrust (kN/m)", ylim=(0, None))
+        axes.legend()
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    scene = Scene(args)
-    scene.run()
-    thrust, displacement, done = reached(scene.history, scene.sign)
-    exact = rankine(args)[0 if scene.sign > 0 else 1]
-    figures = {
-        "thrust": thrust, "displacement_reached": displacement, "reached": done,
-        "last_thrust": float(scene.history["thrust"][-1]), "exact_thrust": exact,
-        "thrust_error": thrust / exact - 1 if exact else None,
-        "at_rest": float(scene.history["thrust"][0]), **solver_figures(scene.problem),
-    }  # fmt: skip
-    error = f"{100 * figures['thrust_error']:+.2f} %" if exact else "which is none"
-    say(
-        f"{args.direction} thrust {thrust:.6g} N/m at {1e3 * displacement:.3g} mm, Rankine "
-        f"{exact:.6g} ({error}); last {figures['last_thrust']:.6g}; at most "
-        f"{figures['max_newton_iterations']} iterations"
-    )
-    if not args.no_plot:
-        draw(args, scene.history, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+thrust, displacement, done = reached(scene.history, scene.sign)
+exact = rankine(args)[0 if scene.sign > 0 else 1]
+figures = {
+    "thrust": thrust, "displacement_reached": displacement, "reached": done,
+    "last_thrust": float(scene.history["thrust"][-1]), "exact_thrust": exact,
+    "thrust_error": thrust / exact - 1 if exact else None,
+    "at_rest": float(scene.history["thrust"][0]), **solver_figures(scene.problem),
+}  # fmt: skip
+error = f"{100 * figures['thrust_error']:+.2f} %" if exact else "which is none"
+say(
+    f"{args.direction} thrust {thrust:.6g} N/m at {1e3 * displacement:.3g} mm, Rankine "
+    f"{exact:.6g} ({error}); last {figures['last_thrust']:.6g}; at most "
+    f"{figures['max_newton_iterations']} iterations"
+)
+if not args.no_plot:
+    draw(args, scene.history, figures)
+finish(args, figures)

@@ -11,13 +11,14 @@
 # %%
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass, replace
 
 import numpy as np
-from dolfinx import mesh
-from motion import add_options, give_affine_part, parse, problem_of, times_of, total_energy
+from grids import box_grid
+from motion import Moving, give_affine_part, problem_of, times_of, total_energy
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say
+from options import option, other_default, positive
+from scene import draw_points, finish, say
 
 import dolfinmpm as mpm
 
@@ -35,23 +36,23 @@ ALL = (
 )
 
 
-def arguments():
-    """The command line."""
-    options = parser("An elastic disc turns freely.")
-    options.add_argument("--radius-cells", type=float, default=4.0, help="radius in cells")
-    options.add_argument("--modulus", type=float, default=1e4, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--density", type=float, default=1000.0, help="kg/m^2")
-    options.add_argument("--omega", type=float, default=1.0, help="angular velocity (1/s)")
-    options.add_argument("--revolutions", type=float, default=1.0)
-    options.add_argument("--exact", action="store_true", help="points that fill the circle exactly")
-    add_options(options, h=0.05)
-    options.set_defaults(integrator="generalised-alpha")
-    options.add_argument("--compare", action="store_true", help="turn with all mappings")
-    return parse(options)
+@dataclass
+class Input(Moving):
+    """An elastic disc turns freely."""
+
+    radius_cells: float = option(4.0, "radius in cells")
+    modulus: float = positive(1e4, "Young's modulus (Pa)")
+    poisson: float = 0.3
+    density: float = positive(1000.0, "kg/m^2")
+    omega: float = option(1.0, "angular velocity (1/s)")
+    revolutions: float = 1.0
+    exact: bool = option(False, "points that fill the circle exactly")
+    h: float = other_default(Moving, "h", 0.05)
+    integrator: str = other_default(Moving, "integrator", "generalised-alpha")
+    compare: bool = option(False, "turn with all mappings")
 
 
-args = arguments()
+args = Input.parse()
 comm, h, omega = MPI.COMM_WORLD, args.h, args.omega
 radius = args.radius_cells * h
 duration = 2 * np.pi * args.revolutions / abs(omega)
@@ -66,9 +67,7 @@ def turn(mass, mapping, order):
     """The figures of a disc, how they went, and its points in the end."""
     n = int(np.ceil(2.6 * args.radius_cells)) + 4
     centre = 0.5 * n * h + h * np.array([0.26, -0.14])
-    grid = mesh.create_rectangle(
-        comm, [(0, 0), (n * h, n * h)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (n * h, n * h)], (n, n))
     disc = mpm.Ball(centre, radius)
     points = mpm.fill(grid, disc, args.points_per_cell, args.density, exact=args.exact)
     V = mpm.Space(grid, args.basis)
@@ -79,8 +78,8 @@ def turn(mass, mapping, order):
     middle = comm.allreduce(m @ points["x"]) / comm.allreduce(m.sum())
     points.add_field("velocity", (2,), "m/s")
     points["velocity"] = (points["x"] - middle) @ turning.T
-    given = vars(args) | {"mass": mass, "mapping": mapping, "order": order}
-    problem = problem_of(argparse.Namespace(**given), F, V.increment, points)
+    given = replace(args, mass=mass, mapping=mapping, order=order)
+    problem = problem_of(given, F, V.increment, points)
     give_affine_part(problem, turning)
 
     def state():

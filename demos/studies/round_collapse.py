@@ -16,39 +16,41 @@
 # %%
 import itertools
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say
+from options import Options, natural, option, positive, switch
+from scene import draw_points, finish, say
 
 import dolfinmpm as mpm
 
 RADIUS, DENSITY, GRAVITY = 0.1, 1600.0, 9.81  # m, kg/m³, m/s²
 
 
-def arguments():
-    """The command line."""
-    options = parser("A round column of sand collapses under its weight.")
-    options.add_argument("--aspect", type=float, default=0.8, help="height by radius")
-    options.add_argument("--plane", action="store_true", help="between two walls")
-    options.add_argument("--friction-angle", type=float, default=30.0, help="(degrees)")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--h", type=float, default=0.005, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    options.add_argument("--fbar", choices=("on", "off"), default="on")
-    options.add_argument("--duration", type=float, default=4.0, help="in units of the time √(H/g)")
-    given = options.parse_args()
-    if not 0 < given.aspect <= 10 or not 0 < given.h <= 0.25 * RADIUS * min(1, given.aspect):
-        options.error("aspect must be in (0, 10], h at most a quarter of radius and height")
-    if given.points_per_cell < 1 or not given.duration > 0:
-        options.error("points-per-cell must be at least 1, the duration positive")
-    return given
+@dataclass
+class Input(Options):
+    """A round column of sand collapses under its weight."""
+
+    aspect: float = option(0.8, "height by radius", above=0, most=10)
+    plane: bool = option(False, "between two walls")
+    friction_angle: float = option(30.0, "(degrees)")
+    modulus: float = positive(1e6, "Young's (Pa)")
+    poisson: float = 0.3
+    h: float = positive(0.005, "size of the cells (m)")
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    fbar: str = switch("on")
+    duration: float = positive(4.0, "in units of the time √(H/g)")
+
+    def _check(self):
+        if not self.h <= 0.25 * RADIUS * min(1, self.aspect):
+            raise ValueError(f"h = {self.h:g} m must be at most a quarter of radius and height")
 
 
 def scaling(a, plane):
@@ -59,11 +61,11 @@ def scaling(a, plane):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # The ground is rough, nothing holds the sand at its side, and gravity acts at once.
 
 # %%
-args = arguments()
+args = Input.parse()
 h, height = args.h, args.aspect * RADIUS
 runout, left_over = scaling(args.aspect, args.plane)
 reach = RADIUS * (1.6 + 1.3 * runout)
@@ -71,7 +73,7 @@ cells = [int(np.ceil(reach / h)), int(np.ceil(1.15 * height / h)) + 2]
 # two rows below the ground: functions of points beside it are whole
 corners = [(0.0, -2 * h), (cells[0] * h, cells[1] * h)]
 cells[1] += 2
-grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+grid = box_grid(corners, cells)
 column = mpm.Box((0, 0), (RADIUS, height))
 points = mpm.fill(
     grid, column, args.points_per_cell, DENSITY, aligned="body", axisymmetric=not args.plane

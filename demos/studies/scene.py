@@ -1,4 +1,4 @@
-"""What all studies share: their command line, and how they hand over their figures."""
+"""What all studies share: how they print, draw and hand over their figures."""
 
 from __future__ import annotations
 
@@ -8,30 +8,21 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
+from options import Options, command_line, values
 
 import dolfinmpm as mpm
 
-OUTPUT = Path(__file__).resolve().parents[2] / "output"
-
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """A command line with the options that every study takes; stages of steps are measured."""
-    mpm.measure_stages()
-    result = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    result.add_argument(
-        "--json", metavar="PATH", help="write inputs and figures there; - for the last line printed"
-    )
-    result.add_argument("--no-plot", action="store_true", help="no picture, no ParaView file")
-    result.add_argument("--output", type=Path, default=OUTPUT, help="folder for pictures and files")
-    return result
+    """A command line with the options that every study takes."""
+    return command_line(Options, description)
 
 
 def numbers(kind: type) -> Any:
     """A list of numbers on the command line, by commas."""
-    return lambda text: [kind(item) for item in text.split(",")]
+    return values(kind)
 
 
 def stabilisation(kind: str, **options: Any) -> mpm.Stabilisation:
@@ -40,7 +31,7 @@ def stabilisation(kind: str, **options: Any) -> mpm.Stabilisation:
     return mpm.Stabilisation(kind, **{k: v for k, v in options.items() if k in taken})
 
 
-def finish(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
+def finish(arguments: Any, figures: dict[str, Any]) -> None:
     """Write the inputs and the figures where `--json` asks for them; on rank 0."""
     if arguments.json is None or MPI.COMM_WORLD.rank != 0:
         return
@@ -90,6 +81,34 @@ def say(*words: Any) -> None:
         print(*words, flush=True)
 
 
+def fibre_stress(F: Any, stress: Any) -> Any:
+    """Stress t·σt along the fibres t = F e_x/|F e_x| of a beam, shape (n,).
+
+    Args:
+        F: Deformation gradients, shape (n, 2, 2).
+        stress: Cauchy stress (Pa), shape (n, 3, 3).
+    """
+    t = F[:, :, 0] / np.linalg.norm(F[:, :, 0], axis=1, keepdims=True)
+    return np.einsum("pi,pij,pj->p", t, stress[:, :2, :2], t)
+
+
+def outline_of_beam(x0: Any, x: Any, F: Any, l0: Any) -> Any:
+    """Corners of the lowest and the highest row of a beam's points (m), from the support and back.
+
+    Args:
+        x0, x: First and present positions (m), shape (n, 2).
+        F: Deformation gradients, shape (n, 2, 2).
+        l0: First half-lengths (m), shape (n, 2).
+    """
+    rows = []
+    for y, side in ((x0[:, 1].min(), -1), (x0[:, 1].max(), 1)):
+        row = np.flatnonzero(np.isclose(x0[:, 1], y))
+        row = row[np.argsort(x0[row, 0])]
+        ends = np.array([(-1, side), (1, side)])
+        rows.append(x[row, None] + np.einsum("pij,cj,pj->pci", F[row], ends, l0[row]))
+    return np.vstack([rows[0].reshape(-1, 2), rows[1].reshape(-1, 2)[::-1]])
+
+
 def draw_points(axes: Any, x: Any, F: Any, l0: Any, values: Any, **look: Any) -> Any:
     """Draw the points' deformed first domains, coloured by values; returns the collection.
 
@@ -101,7 +120,6 @@ def draw_points(axes: Any, x: Any, F: Any, l0: Any, values: Any, **look: Any) ->
         values: What they are coloured by, shape (n,).
         look: Further arguments of Matplotlib's `PolyCollection`.
     """
-    import numpy as np
     from matplotlib.collections import PolyCollection
 
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])

@@ -1,4 +1,4 @@
-"""Thick shells under internal pressure, as bodies of revolution: scenes and closed forms.
+"""Thick shells under internal pressure, axisymmetric: bodies and closed forms.
 
 A long cylinder is a slice of height h between smooth plates, a sphere a quarter of its section
 between the axis and the plane of the equator. The grid fits neither of the sphere's circles.
@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from footing import rectangle
+from grids import grid_of_lines
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -119,12 +119,12 @@ def shell(shape, a, b, h, per_cell, room=1.0, even=None, growth=1.0):
     end = room * b
     lines = graded(h, end, end if even is None else min(even, end), growth)
     if shape == "cylinder":
-        grid = rectangle(lines, np.array([0, h]))
+        grid = grid_of_lines(lines, np.array([0, h]))
         points = mpm.fill(grid, mpm.Box((a, 0), (b, h)), per_cell, 1.0, axisymmetric=True)
         inner = mpm.Surface(points, lambda x: np.isclose(x[0], a), (-1, 0), name="inner")
         outer = mpm.Surface(points, lambda x: np.isclose(x[0], b), (1, 0), name="outer")
         return Shell(shape, a, b, points, inner, outer, ("bottom", "top"))
-    grid = rectangle(lines, lines)
+    grid = grid_of_lines(lines, lines)
     body = mpm.Where(lambda x: (np.hypot(*x[:2]) > a) & (np.hypot(*x[:2]) < b))
     body.volume = 0.25 * np.pi * (b**2 - a**2)
     body.centroid = np.full(2, 4 / (3 * np.pi) * (b**3 - a**3) / (b**2 - a**2))

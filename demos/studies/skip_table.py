@@ -32,10 +32,10 @@ from unittest import mock
 
 import instructions
 import numpy as np
-import ufl
-from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import Options, natural, option
+from scene import finish, say
+from skip_block import Block, block
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import stages
@@ -44,65 +44,15 @@ from dolfinmpm.cut import activation
 
 PACKAGE = Path(mpm.__file__).parent
 
-options = parser("What optional features cost, off and on.")
-options.add_argument("--cells", type=int, default=8, help="of the block, in each direction")
-options.add_argument("--steps", type=int, default=3, help="counted pairs of steps")
-options.add_argument("--only", help="features, by commas; all by default")
-options.add_argument("--calls", action="store_true", help="count Python calls in any case")
 
-
-# %% [markdown]
-# ## The scene
-
-
-# %%
 @dataclass
-class Block:
-    """A block in one problem, with the next step ready to be taken.
+class Input(Options):
+    """What optional features cost, off and on."""
 
-    Attributes:
-        before, after: What is done around a step, besides taking it.
-    """
-
-    problem: Any
-    gravity: Any
-    after: Callable[[], Any] | None = None
-    taken: int = 0
-
-    def step(self) -> None:
-        """One step."""
-        self.gravity.value[-1] = -0.05 * (self.taken + 1)
-        self.taken += 1
-        self.problem.step()
-        if self.after is not None:
-            self.after()
-
-
-def block(cells, dimension=2, law=None, fbar=False, stabilisation="none", tags=False) -> Block:
-    """A block with a feature, or with none."""
-    if dimension == 3:
-        cells = max(2, round(cells ** (2 / 3)))
-    kind = mesh.CellType.quadrilateral if dimension == 2 else mesh.CellType.hexahedron
-    make = mesh.create_rectangle if dimension == 2 else mesh.create_box
-    high = (1.0,) * (dimension - 1) + (1.25,)
-    n = [cells] * (dimension - 1) + [round(1.25 * cells)]
-    grid = make(MPI.COMM_WORLD, [(0.0,) * dimension, high], n, kind)
-    V = mpm.Space(grid, "gimp")
-    u, v = V.increment, V.test
-    law = law or mpm.materials.Hencky(E=1e4, nu=0.3)
-    low, top = (0.0,) * dimension, (1.0,) * dimension
-    if tags:
-        half = (*top[:-1], 0.5)
-        points = mpm.fill(grid, mpm.Box(low, half), 2, 80.0, tag=1)
-        points = points + mpm.fill(grid, mpm.Box((*low[:-1], 0.5), top), 2, 80.0, tag=2)
-        F = mpm.momentum(law, points, u, v, tag=1) + mpm.momentum(law, points, u, v, tag=2)
-    else:
-        points = mpm.fill(grid, mpm.Box(low, top), 2, 80.0)
-        F = mpm.momentum(law, points, u, v, fbar=fbar)
-    gravity = fem.Constant(grid, (0.0,) * dimension)
-    F -= ufl.inner(points.density * gravity, v) * points.dX
-    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    return Block(mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation), gravity)
+    cells: int = option(8, "of the block, in each direction")
+    steps: int = natural(3, "counted pairs of steps")
+    only: str | None = option(None, "features, by commas; all by default")
+    calls: bool = option(False, "count Python calls in any case")
 
 
 # %% [markdown]
@@ -132,7 +82,7 @@ class Feature:
 
 def without_ties():
     """No field is asked whether a stabilisation ties its nodes."""
-    return mock.patch.object(activation.Field, "ties_nodes", False)
+    return mock.patch.object(activation.Field, "constrains_nodes", False)
 
 
 def without_means():
@@ -216,13 +166,13 @@ def yielding() -> Any:
 FEATURES = (
     Feature("ghost penalty", lambda n: block(n, stabilisation="ghost"),
             own=("stabilisations.py", "penalties.py", "active.py:select", "facettensors.py",
-                 "facetplaces.py", "splinefacets.py")),
+                 "latticefacets.py", "splinefacets.py")),
     Feature("aggregation", lambda n: block(n, stabilisation="aggregation"), without_ties,
             ("aggregation.py", "fractions.py", "prolongation.py")),
     Feature("F-bar", lambda n: block(n, fbar=True), without_means, ("fbar.py", "cellmeans.py")),
     Feature("yielding", lambda n: block(n, law=yielding()),
-            own=("return_mapping.py", "vonmises.py")),
-    Feature("tags", lambda n: block(n, tags=True), own=("parts.py", "joining.py")),
+            own=("returnmapping.py", "vonmises.py")),
+    Feature("tags", lambda n: block(n, tags=True), own=("cellparts.py", "pointchanges.py")),
     Feature("output", with_output, own=("paraview.py", "vtkfiles.py")),
     Feature("progress", with_progress, own=("progress.py",)),
     Feature("checkpoint", with_checkpoint, own=("checkpoint.py", "rowfile.py")),
@@ -361,7 +311,7 @@ def mpi_row(args, count) -> dict[str, Any]:
 
 def counted(args) -> dict[str, Any]:
     """All rows, in the process that is counted."""
-    # which `parser` asks for
+    # which the command line asks for
     mpm.measure_stages(False)
     count = instructions.Counter()
     wanted = args.only.split(",") if args.only else None
@@ -391,7 +341,7 @@ def share(value, spread=None):
 
 
 if __name__ == "__main__":
-    args = options.parse_args()
+    args = Input.parse()
     if os.environ.get(CHILD):
         print(json.dumps(counted(args)), flush=True)
         sys.exit()

@@ -26,64 +26,78 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say
+from options import BASES, Options, natural, option, switch
+from scene import finish, say
+from weak_slope import (
+    BASE,
+    DENSITY,
+    GRAVITY,
+    GRID_TOP,
+    NU,
+    TOE,
+    WEAK,
+    YIELD,
+    ZONE,
+    E,
+    draw_slope,
+    in_body,
+    in_zone,
+)
 
 import dolfinmpm as mpm
 
-E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
-DENSITY, GRAVITY = 2400.0, 10.0
-WIDTH, BASE, TOP, TOE, GRID_TOP = 24.0, 2.0, 8.0, 12.0, 9.0
-ZONE = (4.0, 12.0), (2.0, 3.0)
+WIDTH = 24.0
 STABILISATIONS = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
 
 
-def arguments():
-    """The command line."""
-    options = parser("A slope with a weak zone fails under its weight.")
-    options.add_argument(
-        "--table", action="store_true", help="run all of the lists below, and draw a table"
+@dataclass
+class Input(Options):
+    """A slope with a weak zone fails under its weight."""
+
+    table: bool = option(False, "run all of the lists below, and draw a table")
+    h: str | None = option(None, "size of the cells (m), divides 1; with --table 1,0.5,0.25")
+    points_per_cell: str | None = option(None, "in each direction; with --table 2,3,4")
+    stabilisation: str | None = option(
+        None, f"of {', '.join(STABILISATIONS)}; with --table none,ghost,aggregation"
     )
-    options.add_argument("--h", help="size of the cells (m), divides 1; with --table 1,0.5,0.25")
-    options.add_argument("--points-per-cell", help="in each direction; with --table 2,3,4")
-    options.add_argument(
-        "--stabilisation",
-        help=f"of {', '.join(STABILISATIONS)}; with --table none,ghost,aggregation",
-    )
-    options.add_argument("--ghost", choices=("on", "off"), help="ghost stabilisation or none")
-    bases = "linear", "gimp", "bspline2", "bspline3"
-    options.add_argument("--basis", choices=bases, default="gimp")
-    options.add_argument("--law", choices=("von-mises", "tresca"), default="von-mises")
-    options.add_argument("--steps", type=int, help="of gravity; 40/h by default")
-    given = options.parse_args()
-    if given.ghost is not None and given.stabilisation is not None:
-        options.error("--ghost and --stabilisation exclude each other")
-    if given.ghost is not None:
-        given.stabilisation = "ghost" if given.ghost == "on" else "none"
-    defaults = ("1,0.5,0.25", "2,3,4", "none,ghost,aggregation")
-    defaults = defaults if given.table else ("1", "2", "ghost")
-    kinds = {"h": float, "points_per_cell": int, "stabilisation": str}
-    for (name, kind), default in zip(kinds.items(), defaults):
-        try:
-            values = [kind(word) for word in (getattr(given, name) or default).split(",")]
-        except ValueError as error:
-            options.error(f"{name}: {error}")
-        if len(values) > 1 and not given.table:
-            options.error(f"{name}: more than one value needs --table")
-        setattr(given, name, values)
-    for h in given.h:
-        if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
-            options.error(f"h = {h:g} m must divide 1 m")
-    for name in given.stabilisation:
-        if name not in STABILISATIONS:
-            options.error(f"stabilisation = {name} must be one of {', '.join(STABILISATIONS)}")
-    if min(given.points_per_cell) < 1 or (given.steps is not None and given.steps < 1):
-        options.error("points-per-cell and steps must be at least 1")
-    return given
+    ghost: str | None = switch(None, "ghost stabilisation or none")
+    basis: str = option("gimp", choices=BASES)
+    law: str = option("von-mises", choices=("von-mises", "tresca"))
+    steps: int | None = natural(None, "of gravity; 40/h by default")
+
+    def _check(self):
+        if self.ghost is not None and self.stabilisation is not None:
+            raise ValueError("--ghost and --stabilisation exclude each other")
+        if self.ghost is not None:
+            self.stabilisation = "ghost" if self.ghost == "on" else "none"
+        defaults = ("1,0.5,0.25", "2,3,4", "none,ghost,aggregation")
+        defaults = defaults if self.table else ("1", "2", "ghost")
+        kinds = {"h": float, "points_per_cell": int, "stabilisation": str}
+        for (name, kind), default in zip(kinds.items(), defaults):
+            try:
+                values = [kind(word) for word in (getattr(self, name) or default).split(",")]
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+            if len(values) > 1 and not self.table:
+                raise ValueError(f"{name}: more than one value needs --table")
+            setattr(self, name, values)
+        for h in self.h:
+            if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
+                raise ValueError(f"h = {h:g} m must divide 1 m")
+        for name in self.stabilisation:
+            if name not in STABILISATIONS:
+                raise ValueError(
+                    f"stabilisation = {name} must be one of {', '.join(STABILISATIONS)}"
+                )
+        if min(self.points_per_cell) < 1 or (self.steps is not None and self.steps < 1):
+            raise ValueError("points-per-cell and steps must be at least 1")
 
 
 # %% [markdown]
@@ -97,18 +111,6 @@ def arguments():
 
 
 # %%
-def in_zone(x):
-    """Whether points at x, shape (2, n), were in the weak zone."""
-    (left, right), (low, high) = ZONE
-    return (x[0] >= left) & (x[0] <= right) & (x[1] >= low) & (x[1] <= high)
-
-
-def in_body(x):
-    """Whether x, shape (2, n), is in the slope or in the ground."""
-    # rounding must not decide about the points on the slope's surface
-    return (x[1] <= TOP) & ((x[1] <= BASE) | (x[0] + x[1] <= TOE + BASE + 1e-9))
-
-
 def law_of(name):
     """The law; both have the undrained strength ρ_y/√2."""
     if name == "tresca":
@@ -120,12 +122,9 @@ def law_of(name):
 def run(h, per_cell, stabilisation, args):
     """Bring the slope to failure; returns the figures of the run and its points. Collective."""
     started = time.perf_counter()
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (WIDTH, GRID_TOP)], (round(WIDTH / h), round(GRID_TOP / h)),
-        mesh.CellType.quadrilateral,
-    )  # fmt: skip
+    grid = box_grid([(0, 0), (WIDTH, GRID_TOP)], (round(WIDTH / h), round(GRID_TOP / h)))
     comm = grid.comm
-    points = mpm.fill(grid, mpm.Where(in_body), per_cell, DENSITY)
+    points = mpm.fill(grid, mpm.Where(lambda x: in_body(x, WIDTH)), per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
     gravity = fem.Constant(grid, (0.0, 0.0))
@@ -191,11 +190,9 @@ def describe(result):
 
 
 # %%
-def draw_state(axes, x, F, l0, alpha, limit):
+def draw_state(axes, state, limit):
     """Draw the deformed body over its first outline."""
-    drawn = draw_points(axes, x, F, l0, alpha, cmap="viridis", clim=(0, limit))
-    outline = [(0, TOP), (TOE + BASE - TOP, TOP), (TOE, BASE), (WIDTH, BASE)]
-    axes.plot(*np.array(outline).T, color="0.4", lw=0.6, ls="--")
+    drawn = draw_slope(axes, state, limit, WIDTH)
     (left, right), (low, high) = ZONE
     corners = [(left, low), (right, low), (right - (high - low), high), (left, high), (left, low)]
     axes.plot(*np.array(corners).T, color="0.8", lw=0.6, ls=":")
@@ -209,7 +206,7 @@ STATE = "x", "F", "l0", "plastic_strain"
 def picture(path, rows, label):
     """Draw one state."""
     with mpm.figure(path, 6.5, 3.0) as (figure, axes):
-        drawn = draw_state(axes, *rows, np.percentile(rows[3], 99.5))
+        drawn = draw_state(axes, rows, np.percentile(rows[3], 99.5))
         axes.set_title(label)
         bar = figure.colorbar(drawn, ax=axes, extend="max", shrink=0.75)
         bar.set_label(r"plastic strain $\alpha$")
@@ -253,7 +250,7 @@ def table_picture(path, results, states, args):
         panels = np.atleast_1d(parts[1].subplots(1, len(shown), sharey=True))
         for axes, h in zip(panels, shown):
             label, rows = states[h]
-            drawn = draw_state(axes, *rows, 2.0)
+            drawn = draw_state(axes, rows, 2.0)
             axes.set_title(label)
         for axes in panels[1:]:
             axes.set_ylabel("")
@@ -271,7 +268,7 @@ def _rectangle(corner, width, height, colour):
 # ## Runs
 
 # %%
-args = arguments()
+args = Input.parse()
 results, states = [], {}
 for h in args.h:
     for per_cell in args.points_per_cell:

@@ -15,56 +15,52 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say
+from options import BASES, Options, natural, option, positive
+from scene import finish, say
+from weak_slope import (
+    BASE,
+    DENSITY,
+    GRAVITY,
+    GRID_TOP,
+    NU,
+    TOE,
+    WEAK,
+    YIELD,
+    E,
+    draw_slope,
+    in_body,
+    in_zone,
+)
 
 import dolfinmpm as mpm
 from dolfinmpm import study
 
-E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
-DENSITY, GRAVITY = 2400.0, 10.0
-WIDTH, BASE, TOP, TOE, GRID_TOP = 36.0, 2.0, 8.0, 12.0, 9.0
-ZONE = (4.0, 12.0), (2.0, 3.0)
+WIDTH = 36.0
 
 
-def arguments():
-    """The command line."""
-    options = parser("A slope with a weak zone runs out to rest.")
-    options.add_argument("--integrator", choices=("implicit", "explicit", "both"), default="both")
-    options.add_argument(
-        "--h", type=numbers(float), default=[1.0, 0.5, 0.25], help="(m), divide 1, by commas"
-    )
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
-    )
-    options.add_argument("--duration", type=float, default=10.0, help="(s)")
-    options.add_argument("--dt", type=float, default=0.02, help="implicit: step (s)")
-    options.add_argument("--samples", type=int, default=100, help="times at which to measure")
-    given = options.parse_args()
-    for h in given.h:
-        if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
-            options.error(f"h = {h:g} m must divide 1 m")
-    if min(given.points_per_cell, given.samples) < 1 or min(given.duration, given.dt) <= 0:
-        options.error("points, samples and times must be positive")
-    return given
+@dataclass
+class Input(Options):
+    """A slope with a weak zone runs out to rest."""
 
+    integrator: str = option("both", choices=("implicit", "explicit", "both"))
+    h: list[float] = option([1.0, 0.5, 0.25], "(m), divide 1, by commas", above=0)
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=BASES)
+    duration: float = positive(10.0, "(s)")
+    dt: float = positive(0.02, "implicit: step (s)")
+    samples: int = natural(100, "times at which to measure")
 
-def in_zone(x):
-    """Whether points at x, shape (2, n), were in the weak zone."""
-    (left, right), (low, high) = ZONE
-    return (x[0] >= left) & (x[0] <= right) & (x[1] >= low) & (x[1] <= high)
-
-
-def in_body(x):
-    """Whether x, shape (2, n), is in the slope or in the ground."""
-    # rounding must not decide about the points on the slope's surface
-    inside = (x[1] >= 0) & (x[1] <= TOP) & (x[0] >= 0) & (x[0] <= WIDTH)
-    return inside & ((x[1] <= BASE) | (x[0] + x[1] <= TOE + BASE + 1e-9))
+    def _check(self):
+        for h in self.h:
+            if not h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
+                raise ValueError(f"h = {h:g} m must divide 1 m")
 
 
 # %% [markdown]
@@ -80,9 +76,9 @@ def run(args, integrator, h):
     # cells below the base and beside the walls, for domains that reach there
     cells = round(WIDTH / h) + 4, round(GRID_TOP / h) + 2
     corners = [(-2 * h, -2 * h), (WIDTH + 2 * h, GRID_TOP)]
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+    grid = box_grid(corners, cells)
     comm = grid.comm
-    points = mpm.fill(grid, mpm.Where(in_body), args.points_per_cell, DENSITY)
+    points = mpm.fill(grid, mpm.Where(lambda x: in_body(x, WIDTH)), args.points_per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
     law = mpm.materials.VonMises(E, NU, radius=lambda x: np.where(in_zone(x), WEAK, YIELD))
@@ -194,9 +190,7 @@ def picture(path, runs, states):
         front.legend()
         panels = np.atleast_1d(lower.subplots(len(states), 1, sharex=True))
         for ax, (label, rows) in zip(panels, states):
-            drawn = draw_points(ax, *rows, cmap="viridis", clim=(0, 2))
-            outline = [(0, TOP), (TOE + BASE - TOP, TOP), (TOE, BASE), (WIDTH, BASE)]
-            ax.plot(*np.array(outline).T, color="0.4", lw=0.6, ls="--")
+            drawn = draw_slope(ax, rows, 2.0, WIDTH)
             ax.set(xlim=(0, 26), ylim=(0, GRID_TOP), title=label)
         for ax in panels[:-1]:
             ax.set_xlabel("")
@@ -204,7 +198,7 @@ def picture(path, runs, states):
         bar.set_label(r"plastic strain $\alpha$")
 
 
-args = arguments()
+args = Input.parse()
 integrators = ("explicit", "implicit") if args.integrator == "both" else (args.integrator,)
 runs, states = [], []
 for integrator in integrators:

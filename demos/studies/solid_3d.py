@@ -17,32 +17,37 @@ from __future__ import annotations
 
 import resource
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, numbers, parser, say
+from options import BASES, Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 
 GRAVITY = 10.0
 
-options = parser("A block or a slope in three dimensions: iterations, seconds and memory.")
-options.add_argument("--scene", choices=("block", "slope"), default="block")
-options.add_argument("--cells", type=numbers(int), default=[8, 12], help="along the body's edge")
-options.add_argument("--cuts", type=numbers(float), default=[0.3], help="shares of a cell")
-options.add_argument(
-    "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="linear"
-)
-options.add_argument("--stabilisation", default="ghost", help="a stabilisation against small cuts")
-options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-options.add_argument("--steps", type=int, help="2 of the block, 10 of the slope by default")
-options.add_argument(
-    "--solver", choices=("own", "direct"), default="own", help="factors of every tangent, or not"
-)
-options.add_argument("--rtol", type=float, help="of linear systems; what Newton can use by default")
-args = options.parse_args()
+
+@dataclass
+class Input(Options):
+    """A block or a slope in three dimensions: iterations, seconds and memory."""
+
+    scene: str = option("block", choices=("block", "slope"))
+    cells: list[int] = option([8, 12], "along the body's edge")
+    cuts: list[float] = option([0.3], "shares of a cell")
+    basis: str = option("linear", choices=BASES)
+    stabilisation: str = option("ghost", "a stabilisation against small cuts")
+    points_per_cell: int = natural(2, "in each direction")
+    steps: int | None = natural(None, "2 of the block, 10 of the slope by default")
+    solver: str = option("own", "factors of every tangent, or not", choices=("own", "direct"))
+    rtol: float | None = option(None, "of linear systems; what Newton can use by default")
+
+
+args = Input.parse()
 
 
 # %%
@@ -50,9 +55,7 @@ def block(n, cut):
     """The elastic block; returns grid, points, law and weight (N/kg)."""
     h = 1.0 / n
     side = (n + 4) * h
-    grid = mesh.create_box(
-        MPI.COMM_WORLD, [(0, 0, 0), (side,) * 3], (n + 4,) * 3, mesh.CellType.hexahedron
-    )
+    grid = box_grid([(0, 0, 0), (side,) * 3], (n + 4,) * 3)
     body = mpm.Box((0, 0, 0), (1 + cut * h,) * 3)
     points = mpm.fill(grid, body, args.points_per_cell, 1000.0)
     return grid, points, mpm.materials.Hencky(E=1e6, nu=0.3)
@@ -62,12 +65,7 @@ def slope(n, cut):
     """A slope, weaker at one end of it, 10 m high."""
     h = 10.0 / n
     cells = 2 * n + 2, n, n + 1
-    grid = mesh.create_box(
-        MPI.COMM_WORLD,
-        [(0, 0, 0), tuple(h * k for k in cells)],
-        cells,
-        mesh.CellType.hexahedron,
-    )
+    grid = box_grid([(0, 0, 0), tuple(h * k for k in cells)], cells)
     high, foot = 10.0 + cut * h, 2.0
     points = mpm.fill(
         grid,
@@ -153,31 +151,25 @@ finish(args, {"runs": runs, "ranks": MPI.COMM_WORLD.size})
 # %%
 if not args.no_plot:
     fields = last.gather("x", "plastic_strain") if args.scene == "slope" else None
-    if MPI.COMM_WORLD.rank == 0:
-        import matplotlib.pyplot as plt
-
-        iterated = [r for r in runs if r["linear_iterations"]]
-        iterated = iterated if len(iterated) > 1 else []
-        count = bool(iterated) + (fields is not None) or 1
-        figure, axes = plt.subplots(1, count, figsize=(4.8 * count, 3.6), squeeze=False)
+    iterated = [r for r in runs if r["linear_iterations"]]
+    iterated = iterated if len(iterated) > 1 else []
+    count = bool(iterated) + (fields is not None) or 1
+    path = args.output / f"solid_3d_{args.scene}.png"
+    with mpm.figure(path, 4.8 * count, 3.6, ncols=count, squeeze=False) as (figure, axes):
+        first, other = axes[0, 0], axes[0, -1]
         if iterated or fields is None:
-            ax = axes[0, 0]
             for cut in args.cuts:
                 mine = [r for r in iterated if r["cut"] == cut]
                 unknowns = [r["unknowns"] for r in mine]
                 most = [max(r["linear_iterations"]) for r in mine]
-                ax.plot(unknowns, most, "o-", label=f"cut at {cut:g} of a cell")
-            ax.set(xlabel="unknowns", ylabel="most iterations of a solution")
-            ax.set(xscale="log", ylim=(0, None))
-            ax.legend(frameon=False)
+                first.plot(unknowns, most, "o-", label=f"cut at {cut:g} of a cell")
+            first.set(xlabel="unknowns", ylabel="most iterations of a solution")
+            first.set(xscale="log", ylim=(0, None))
+            first.legend()
         if fields is not None:
             x, strain = fields
-            section = x[:, 1] < 10.0 / args.cells[-1]
-            drawn = axes[0, -1].scatter(
-                x[section, 0], x[section, 2], c=100 * strain[section], s=6, cmap="viridis"
-            )
-            axes[0, -1].set(xlabel="$x$ (m)", ylabel="$z$ (m)", aspect="equal")
-            figure.colorbar(drawn, ax=axes[0, -1], label="plastic strain (%)")
-        figure.tight_layout()
-        args.output.mkdir(parents=True, exist_ok=True)
-        figure.savefig(args.output / f"solid_3d_{args.scene}.png", dpi=150)
+            at = x[:, 1] < 10.0 / args.cells[-1]
+            look = {"s": 6, "cmap": "viridis"}
+            drawn = other.scatter(x[at, 0], x[at, 2], c=100 * strain[at], **look)
+            other.set(xlabel="$x$ (m)", ylabel="$z$ (m)", aspect="equal")
+            figure.colorbar(drawn, ax=other, label="plastic strain (%)")

@@ -24,57 +24,20 @@
 # %%
 import itertools
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures, stabilisation
-from scipy.optimize import brentq
+from options import BASES, natural, option, switch
+from scene import finish, say, solver_figures, stabilisation
+from yielding_shell import ShellInput, Yielding, compared, draw_curve, draw_stresses, widen
 
 import dolfinmpm as mpm
 from dolfinmpm.body.location import destinations
-
-# %% [markdown]
-# ## The closed form
-
-
-# %%
-class Hill:
-    """Closed form of a tube of radii a and b (m) that flows under the pressure b ln(b/a)."""
-
-    def __init__(self, a, b, E, nu, strength):
-        self.a, self.b, self.Y = a, b, 2 * strength / np.sqrt(3)
-        # u_b = compliance · c²
-        self.compliance = self.Y * (1 - nu**2) / (E * b)
-        self.limit = self.Y * np.log(b / a)
-        self.last_displacement = self.compliance * b**2
-
-    def pressure(self, u):
-        """Pressure (Pa) at the outer displacement u (m)."""
-        c2 = np.asarray(u, float) / self.compliance
-        c = np.sqrt(np.clip(c2, self.a**2, self.b**2))
-        plastic = self.Y * (np.log(c / self.a) + 0.5 * (1 - c**2 / self.b**2))
-        elastic = 0.5 * self.Y * (1 / self.a**2 - 1 / self.b**2) * c2
-        return np.where(c2 < self.a**2, elastic, plastic)
-
-    def displacement(self, p):
-        """Outer displacement (m) under a pressure (Pa) below the limit."""
-        return brentq(lambda u: self.pressure(u) - p, 0, self.last_displacement, xtol=1e-16)
-
-    def front(self, u):
-        """Radius c (m) of the plastic zone."""
-        return float(np.clip(np.sqrt(u / self.compliance), self.a, self.b))
-
-    def stress(self, r, u):
-        """Radial and hoop stress (Pa) at the radii r (m); once it yields anywhere."""
-        c, b, Y = self.front(u), self.b, self.Y
-        share = 0.5 * Y * c**2 / b**2
-        flow = Y * (np.log(r / c) - 0.5 * (1 - c**2 / b**2))
-        radial = np.where(r < c, flow, -share * (b**2 / r**2 - 1))
-        return radial, np.where(r < c, flow + Y, share * (b**2 / r**2 + 1))
-
 
 # %% [markdown]
 # ## Points in rings
@@ -138,56 +101,33 @@ def fill_rings(grid, a, b, size):
     return points, inner, outer
 
 
-def arguments():
-    """The command line."""
-    options = parser("A thick cylinder under internal pressure, beyond its limit load.")
-    options.add_argument("--h", type=float, default=0.0125, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=3, help="in each direction, about")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="bspline2"
+@dataclass
+class Input(ShellInput):
+    """A thick cylinder under internal pressure, beyond its limit load."""
+
+    points_per_cell: int = natural(3, "in each direction, about")
+    basis: str = option("bspline2", choices=BASES)
+    stabilisation: str = option(
+        "aggregation", choices=("none", "ghost", "aggregation", "weak-aggregation", "extended")
     )
-    options.add_argument(
-        "--stabilisation",
-        choices=("none", "ghost", "aggregation", "weak-aggregation", "extended"),
-        default="aggregation",
-    )
-    options.add_argument(
-        "--factor", type=float, default=1.0, help="of a penalty; see Stabilisation"
-    )
-    options.add_argument("--threshold", type=float, default=0.5, help="of aggregation")
-    options.add_argument("--steps", type=int, default=24)
-    options.add_argument("--fbar", choices=("on", "off"), default="off", help="against locking")
-    options.add_argument(
-        "--reach", type=float, default=1.3, help="last outer displacement, over that at the limit"
-    )
-    options.add_argument("--inner", type=float, default=0.1, help="inner radius (m)")
-    options.add_argument("--outer", type=float, default=0.2, help="outer radius (m)")
-    options.add_argument("--modulus", type=float, default=210e9, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--strength", type=float, default=0.24e9, help="uniaxial yield stress, Pa")
-    given = options.parse_args()
-    if not 0 < given.inner < given.outer < np.inf:
-        options.error(f"radii {given.inner} and {given.outer} m must be positive and increase")
-    if not 0 < given.h <= 0.5 * (given.outer - given.inner):
-        options.error(f"h = {given.h} m must be positive and at most half the wall")
-    if given.steps < 2 or given.points_per_cell < 1 or not given.reach > 1:
-        options.error("there must be two steps, one point per cell and a reach above 1 at least")
-    return given
+    factor: float = option(1.0, "of a penalty; see Stabilisation")
+    threshold: float = option(0.5, "of aggregation")
+    fbar: str = switch("off", "against locking")
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Rollers on the two lines of symmetry; nothing holds the tube else. The grid ends somewhere
 # outside the tube. Von Mises' law takes $\rho_y = \sqrt{2/3}\,\sigma_y$, for
 # $f = \sqrt{2 J_2} - \rho_y$.
 
 # %%
-args = arguments()
+args = Input.parse()
 a, b, h = args.inner, args.outer, args.h
-exact = Hill(a, b, args.modulus, args.poisson, args.strength)
+exact = Yielding("cylinder", args)
 n = int(np.ceil(b / h)) + 2
 corners = [(0, 0), (n * h, n * h)]
-grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, (n, n), mesh.CellType.quadrilateral)
+grid = box_grid(corners, (n, n))
 points, inner, outer = fill_rings(grid, a, b, h / args.points_per_cell)
 
 V = mpm.Space(grid, basis=args.basis)
@@ -204,21 +144,6 @@ steel = mpm.materials.VonMises(E=args.modulus, nu=args.poisson, yield_stress=arg
 pressure = fem.Constant(grid, exact.limit)
 options = {"fbar": True} if args.fbar == "on" else {}
 F = mpm.momentum(steel, points, u, v, **options) + inner.pressure(pressure, u, v)
-length = args.reach * exact.last_displacement / args.steps
-problem = mpm.ArcLength(
-    F,
-    u,
-    points,
-    bcs=mpm.rollers(V, "left", "bottom"),
-    load=pressure,
-    control=outer.mean_normal(v),
-    length=length,
-    max_length=length,
-    target_iterations=50,
-    stabilisation=stabilisation(
-        args.stabilisation, factor=args.factor, threshold=args.threshold, E=args.modulus
-    ),
-)
 
 # %% [markdown]
 # ## Steps of equal outer displacement
@@ -226,15 +151,13 @@ problem = mpm.ArcLength(
 
 # %%
 ready = time.perf_counter()
-shown = max(1, round(exact.compliance * a * b / length))
-curve, residuals, field = [(0.0, 0.0)], [], None
-for _ in mpm.steps(args.steps, label="outer displacement"):
-    record = problem.step()
-    curve.append((record.displacement, record.factor * exact.limit))
-    residuals.append(record.residuals[-2:])
-    if len(problem.history) == shown:
-        field = points.gather("x0", "corners", "stress")
-curve = np.array(curve)
+problem, curve, field, shown = widen(
+    args, exact, F, u, points, "x0", "corners", "stress",
+    bcs=mpm.rollers(V, "left", "bottom"), load=pressure, control=outer.mean_normal(v),
+    stabilisation=stabilisation(
+        args.stabilisation, factor=args.factor, threshold=args.threshold, E=args.modulus
+    ),
+)  # fmt: skip
 
 # %% [markdown]
 # ## Against the closed form
@@ -244,32 +167,20 @@ curve = np.array(curve)
 # `--strength 0.024e9`, a tenth, the strains are a tenth too and the difference goes.
 
 # %%
-closed = exact.pressure(curve[1:, 0])
-error = curve[1:, 1] / closed - 1
-# near the limit the displacement says little about the pressure's error, and less in return
-lower = curve[(curve[:, 1] > 0) & (curve[:, 1] < 0.95 * exact.limit)]
-displacement_error = [w / exact.displacement(p) - 1 for w, p in lower]
 # mean radial displacement of the inner face
 face = points["inner_area"]
 inwards = grid.comm.allreduce(float(np.sum(face * inner.displacements())), op=MPI.SUM)
 limit_now = exact.Y * np.log((b + curve[-1, 0]) / (a - inwards / inner.total_area))
 figures = {
-    "outer_displacement": curve[:, 0].tolist(),
-    "pressure": curve[:, 1].tolist(),
-    "pressure_exact": [0.0, *closed.tolist()],
-    "max_pressure_error": float(np.abs(error).max()),
-    "max_displacement_error": float(np.abs(displacement_error).max()),
-    "limit_load": float(curve[-1, 1]),
-    "limit_load_exact": float(exact.limit),
-    "limit_load_error": float(curve[-1, 1] / exact.limit - 1),
+    **compared(exact, curve),
     "limit_load_of_present_radii": float(limit_now),
     **solver_figures(problem),
-    "last_residuals": residuals,
+    "last_residuals": [record.residuals[-2:] for record in problem.history],
     "seconds_setup": ready - started,
     "seconds_solve": sum(record.seconds for record in problem.history),
 }
 say("outer displacement (mm)   pressure (MPa)   closed form")
-for (displacement, p), reference in zip(curve[1:], closed):
+for (displacement, p), reference in zip(curve[1:], figures["pressure_exact"][1:]):
     say(f"{1e3 * displacement:22.5f} {1e-6 * p:16.3f} {1e-6 * reference:13.3f}")
 say(
     f"{args.basis}, {args.stabilisation}, h = {h:g} m, {figures['points']} points, "
@@ -299,30 +210,13 @@ def picture(path, field, displacement):
     r = np.hypot(*x0.T)
     e_r = x0 / r[:, None]
     e_t = np.column_stack([-e_r[:, 1], e_r[:, 0]])
-    radial = np.einsum("pi,pij,pj->p", e_r, stress[:, :2, :2], e_r) / 1e6
-    hoop = np.einsum("pi,pij,pj->p", e_t, stress[:, :2, :2], e_t) / 1e6
-    R = np.linspace(a, b, 300)
+    radial, hoop = (np.einsum("pi,pij,pj->p", e, stress[:, :2, :2], e) for e in (e_r, e_t))
     with mpm.figure(path, 7.5, 2.5, ncols=3, width_ratios=(1, 1, 1.5)) as (fig, axes):
         left, middle, right = axes
-        fine = np.linspace(0, curve[-1, 0], 400)
-        left.plot(1e3 * fine, exact.pressure(fine) / 1e6, color="C0", label="closed form")
-        left.plot(1e3 * curve[:, 0], curve[:, 1] / 1e6, "o", color="C1", label="material points")
-        left.axhline(exact.limit / 1e6, color="0.5", ls="--", lw=0.8)
-        left.text(30 * fine[-1], exact.limit / 1e6, "limit load", va="bottom", size=7)
-        left.set(xlabel="outer displacement $u_b$ (mm)", ylabel="internal pressure $p$ (MPa)")
-        left.set(xlim=(0, None), ylim=(0, 1.12 * exact.limit / 1e6))
-        left.legend(loc="lower right")
-        for values, closed, name, colour in zip(
-            (hoop, radial), exact.stress(R, displacement)[::-1], ("\\theta", "r"), ("C1", "C2")
-        ):
-            middle.plot(1e3 * r, values, ".", ms=1.2, alpha=0.5, color=colour, rasterized=True)
-            middle.plot(1e3 * R, closed / 1e6, "k-", lw=0.8)
-            middle.plot([], [], ".", ms=5, color=colour, label=f"$\\sigma_{{{name}}}$")
-        middle.plot([], [], "k-", lw=0.8, label="closed form")
-        middle.set(xlabel="radius $r$ (mm)", ylabel="stress (MPa)")
-        middle.legend(loc="lower right")
+        draw_curve(left, exact, curve)
+        draw_stresses(middle, exact, displacement, r, hoop, radial)
         drawn = PolyCollection(
-            [*(1e3 * parts)], array=hoop, cmap="viridis", linewidths=0, antialiased=False,
+            [*(1e3 * parts)], array=hoop / 1e6, cmap="viridis", linewidths=0, antialiased=False,
             snap=False, rasterized=True, zorder=2,
         )  # fmt: skip
         right.add_collection(drawn)
@@ -339,6 +233,6 @@ def picture(path, field, displacement):
 
 
 if not args.no_plot and field is not None:
-    picture(args.output / "thick_cylinder.png", field, curve[shown, 0])
+    picture(args.output / "thick_cylinder.png", field, shown)
 
 finish(args, figures)

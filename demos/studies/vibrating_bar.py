@@ -19,34 +19,41 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from dolfinx import mesh
 from energybalance import EnergyBalance
-from motion import add_options, parse, problem_of, times_of, total_energy
+from motion import Moving, problem_of, times_of, total_energy
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import option, other_default, positive
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
 
-def arguments():
-    """The command line."""
-    options = parser("A bar that vibrates: energy, period and zeros of its momentum.")
-    options.add_argument("--length", type=float, default=25.0, help="m")
-    options.add_argument("--modulus", type=float, default=100.0, help="Young's modulus (Pa)")
-    options.add_argument("--density", type=float, default=1.0, help="kg/m")
-    options.add_argument("--velocity", type=float, default=0.1, help="amplitude v0 (m/s)")
-    add_options(options, h=1.0)
-    options.add_argument("--duration", type=float, help="s; five periods by default")
-    options.add_argument("--moving", action="store_true", help="free at both ends, and moving")
-    options.add_argument("--speed", type=float, default=1.0, help="of the moving bar (m/s)")
-    given = parse(options)
-    if not abs(given.velocity) < 0.5 * np.sqrt(given.modulus / given.density):
-        options.error("the velocity must be below half the speed of waves: the bar would fold")
-    return given
+@dataclass
+class Input(Moving):
+    """A bar that vibrates: energy, period and zeros of its momentum."""
+
+    length: float = option(25.0, "m")
+    modulus: float = positive(100.0, "Young's modulus (Pa)")
+    density: float = positive(1.0, "kg/m")
+    velocity: float = option(0.1, "amplitude v0 (m/s)")
+    h: float = other_default(Moving, "h", 1.0)
+    duration: float | None = option(None, "s; five periods by default")
+    moving: bool = option(False, "free at both ends, and moving")
+    speed: float = option(1.0, "of the moving bar (m/s)")
+
+    def _check(self):
+        super()._check()
+        if not abs(self.velocity) < 0.5 * np.sqrt(self.modulus / self.density):
+            raise ValueError(
+                "the velocity must be below half the speed of waves: the bar would fold"
+            )
 
 
-args = arguments()
+args = Input.parse()
 comm = MPI.COMM_WORLD
 L, h, v0 = args.length, args.h, args.velocity
 c = np.sqrt(args.modulus / args.density)

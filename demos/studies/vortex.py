@@ -35,12 +35,15 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say, stage_seconds
+from options import BASES, Options, natural, option
+from scene import draw_points, finish, say, stage_seconds
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -48,47 +51,33 @@ from dolfinmpm import study
 E, NU, RHO = 1e3, 0.3, 1e3
 LAMBDA, MU = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
 INNER, OUTER = 0.75, 1.25
-BASES = ("linear", "gimp", "bspline2", "bspline3")
 
 
 # %%
-def arguments(words=None):
-    """The command line."""
-    options = parser("A ring turns within itself: observed orders in space and time.")
-    options.add_argument("--basis", choices=(*BASES, "all"), default="bspline2")
-    options.add_argument("--integrator", choices=("implicit", "explicit", "both"), default="both")
-    options.add_argument(
-        "--implicit", choices=("newmark", "generalised-alpha"), default="newmark", help="steps"
+@dataclass
+class Input(Options):
+    """A ring turns within itself: observed orders in space and time."""
+
+    basis: str = option("bspline2", choices=(*BASES, "all"))
+    integrator: str = option("both", choices=("implicit", "explicit", "both"))
+    implicit: str = option("newmark", "steps", choices=("newmark", "generalised-alpha"))
+    stabilisation: str = option("ghost", "of the implicit mass", choices=("ghost", "aggregation"))
+    law: str = option("neo-hookean", choices=("neo-hookean", "hencky"))
+    amplitude: float = option(0.1, "A (rad)")
+    period: float = option(1.0, "T (s), half a cycle")
+    duration: float = option(0.5, "(s)")
+    cells: list[int] = option([8, 16, 32], "a unit of length, by commas", least=4)
+    points_per_cell: int = natural(3, "in each direction")
+    mapping: str = option("pic", "implicit, behind the consistent mass")
+    explicit_mapping: str = option("tpic", "behind the lumped mass")
+    scheme: str = option("usl", "explicit", choices=("musl", "usl", "usf"))
+    share: float = option(0.2, "of h/(c + |v|) that a step takes")
+    steps: list[int] = option(
+        [8, 16, 32],
+        "of implicit runs for the order in time, by commas; explicit ones take 8 times that",
+        least=1,
     )
-    options.add_argument(
-        "--stabilisation",
-        choices=("ghost", "aggregation"),
-        default="ghost",
-        help="of the implicit mass",
-    )
-    options.add_argument("--law", choices=("neo-hookean", "hencky"), default="neo-hookean")
-    options.add_argument("--amplitude", type=float, default=0.1, help="A (rad)")
-    options.add_argument("--period", type=float, default=1.0, help="T (s), half a cycle")
-    options.add_argument("--duration", type=float, default=0.5, help="(s)")
-    options.add_argument(
-        "--cells", type=numbers(int), default=[8, 16, 32], help="a unit of length, by commas"
-    )
-    options.add_argument("--points-per-cell", type=int, default=3, help="in each direction")
-    options.add_argument("--mapping", default="pic", help="implicit, behind the consistent mass")
-    options.add_argument("--explicit-mapping", default="tpic", help="behind the lumped mass")
-    options.add_argument("--scheme", choices=("musl", "usl", "usf"), default="usl", help="explicit")
-    options.add_argument(
-        "--share", type=float, default=0.2, help="of h/(c + |v|) that a step takes"
-    )
-    options.add_argument(
-        "--steps", type=numbers(int), default=[8, 16, 32],
-        help="of implicit runs for the order in time, by commas; explicit ones take 8 times that",
-    )  # fmt: skip
-    options.add_argument("--time-cells", type=int, default=8, help="cells for the order in time")
-    given = options.parse_args(words)
-    if min(given.cells) < 4 or given.points_per_cell < 1 or min(given.steps) < 1:
-        options.error("there must be at least 4 cells a unit, a point per cell, and a step")
-    return given
+    time_cells: int = option(8, "cells for the order in time")
 
 
 # %% [markdown]
@@ -119,10 +108,7 @@ class Motion:
         R, a1, a2 = self.R, self.slope, self.curvature
         inertia = -R * self.rate**2, R * self.acceleration
         if law == "neo-hookean":
-            return (
-                inertia[0] + MU / RHO * R * a1**2,
-                inertia[1] - MU / RHO * (3 * a1 + R * a2),
-            )
+            return (inertia[0] + MU / RHO * R * a1**2, inertia[1] - MU / RHO * (3 * a1 + R * a2))
         k, k1 = R * a1, a1 + R * a2
         root = ufl.sqrt(1 + k**2 / 4)
         arc = ufl.ln(k / 2 + root)
@@ -173,9 +159,7 @@ def ring(args, integrator, basis, cells, steps=None):
     """One run: its errors and what it cost, and the points. Collective."""
     side = 1.5
     n = 2 * round(side * cells)
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(-side, -side), (side, side)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(-side, -side), (side, side)], (n, n))
     body = mpm.Ball((0, 0), OUTER) - mpm.Ball((0, 0), INNER)
     points = mpm.fill(grid, body, args.points_per_cell, RHO, exact=True)
     V = mpm.Space(grid, basis)
@@ -320,7 +304,7 @@ def picture(path, args, space, times, state):
 
 # %%
 if __name__ == "__main__":
-    args = arguments()
+    args = Input.parse()
     bases = BASES if args.basis == "all" else (args.basis,)
     integrators = ("implicit", "explicit") if args.integrator == "both" else (args.integrator,)
     space, times, runs, overall, last = {}, {}, [], {}, None
@@ -368,7 +352,4 @@ if __name__ == "__main__":
         if state is not None:
             picture(args.output / "vortex.png", args, space, times, state)
 
-    finish(
-        args,
-        {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size},
-    )
+    finish(args, {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size})

@@ -32,11 +32,13 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import grid_of_lines
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import Options, natural, option, positive, switch
+from scene import draw_points, finish, say, solver_figures
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
@@ -44,37 +46,29 @@ import dolfinmpm as mpm
 COHESION = 10e3  # Pa
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A smooth wedge is pressed into clay.")
-    options.add_argument("--semi-angle", type=float, default=30.0, help="θ (degrees)")
-    options.add_argument("--E-over-cu", type=float, default=500.0, help="E/c_u")
-    options.add_argument("--depth", type=float, default=1.0, help="last one (m)")
-    options.add_argument("--h", type=float, help="size of the cells (m); by default for the angle")
-    options.add_argument("--points-per-cell", type=int, default=3)
-    options.add_argument("--steps", type=int, help="by default of an eighth of a cell")
-    options.add_argument("--width", type=float, default=8.0, help="of the clay's half, in depths")
-    options.add_argument("--growth", type=float, default=1.3, help="of cells where nothing flows")
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="bspline2")
-    options.add_argument("--fbar", choices=("on", "off"), default="off")
-    options.add_argument("--penalty", type=float, help="κ h/E; 50 h/m by default")
-    options.add_argument("--domains", choices=("stretch", "volume"), default="stretch")
-    options.add_argument("--corners", choices=("domains", "material"), default="material")
-    given = options.parse_args(words)
-    if not 5 <= given.semi_angle < 85:
-        options.error("semi-angle must be between 5 and 85 degrees")
-    if given.h is None:
+@dataclass
+class Input(Options):
+    """A smooth wedge is pressed into clay."""
+
+    semi_angle: float = option(30.0, "θ (degrees)", least=5, below=85)
+    E_over_cu: float = positive(500.0, "E/c_u")
+    depth: float = positive(1.0, "last one (m)")
+    h: float | None = positive(None, "size of the cells (m); by default for the angle")
+    points_per_cell: int = natural(3)
+    steps: int | None = natural(None, "by default of an eighth of a cell")
+    width: float = option(8.0, "of the clay's half, in depths")
+    growth: float = option(1.3, "of cells where nothing flows")
+    basis: str = option("bspline2", choices=("gimp", "linear", "bspline2"))
+    fbar: str = switch("off")
+    penalty: float | None = positive(None, "κ h/E; 50 h/m by default")
+    domains: str = option("stretch", choices=("stretch", "volume"))
+    corners: str = option("material", choices=("domains", "material"))
+
+    def _check(self):
         # a wedge that is narrower needs more cells across
-        narrow = math.tan(math.radians(given.semi_angle)) / math.tan(math.radians(30.0))
-        given.h = 0.1 * given.depth * min(1.0, narrow**1.5)
-    given.penalty = 50.0 * given.h if given.penalty is None else given.penalty
-    if given.steps is None:
-        given.steps = math.ceil(8 * given.depth / given.h - 1e-9)
-    if not min(given.E_over_cu, given.depth, given.h, given.penalty) > 0:
-        options.error("sizes must be positive")
-    if min(given.steps, given.points_per_cell) < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    return given
+        narrow = math.tan(math.radians(self.semi_angle)) / math.tan(math.radians(30.0))
+        self.fill(h=0.1 * self.depth * min(1.0, narrow**1.5))
+        self.fill(penalty=50.0 * self.h, steps=math.ceil(8 * self.depth / self.h - 1e-9))
 
 
 def exact(degrees):
@@ -110,12 +104,7 @@ class Scene:
         across = lines(flows, h, args.width * c, args.growth)
         down = lines(c + 0.75 * side, h, args.width * c, args.growth)
         up = np.r_[-down[:0:-1], h * np.arange(math.ceil(1.5 * lip * c / h) + 3)]
-        n = len(across) - 1, len(up) - 1
-        kind = mesh.CellType.quadrilateral
-        grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), n], n, kind)
-        at = grid.geometry.x
-        at[:, 0] = across[np.rint(at[:, 0]).astype(int)]
-        at[:, 1] = up[np.rint(at[:, 1]).astype(int)]
+        grid = grid_of_lines(across, up)
         clay = mpm.materials.Tresca(args.E_over_cu * COHESION, 0.33, COHESION)
         ground = mpm.Box((0.0, up[0]), (across[-1], 0.0))
         self.points = points = mpm.fill(grid, ground, args.points_per_cell, 1000.0)
@@ -163,7 +152,7 @@ class Scene:
     def pressure(self):
         """Mean pressure on the wedge's side up to the highest corner that touches (Pa)."""
         points, theta = self.points, math.radians(self.args.semi_angle)
-        p = points["contact1_pressure"]
+        p = points["contact1_normal_force"]
         touches = p.sum(axis=1) > 0
         top = (points["x"] + points["l"])[touches, 1].max(initial=-np.inf)
         top = points.comm.allreduce(float(top), op=MPI.MAX)
@@ -173,62 +162,49 @@ class Scene:
 
 def draw(args, scene, figures):
     """Force against depth, and the clay beside the wedge; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
     names = "x", "F", "l0", "plastic_strain"
     known = [n for n in names if n in scene.points.fields]
     found = scene.points.gather(*known)
     if found is None:
         return
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.0), layout="constrained")
-    depth, force = scene.history["depth"], scene.history["force"]
-    left.plot(depth, figures["exact_slope"] * depth, color="k", lw=1, label="Hill, Lee, Tupper")
-    left.plot(depth, force / COHESION, lw=1, label="material points")
-    left.set(xlabel="depth (m)", ylabel="force / $c_u$ (m)")
-    left.legend(frameon=False)
-    values = found[3] if len(found) > 3 else np.zeros(len(found[0]))
-    drawn = draw_points(right, *found[:3], values, cmap="viridis", clim=(0, 1.0))
-    figure.colorbar(drawn, ax=right, label="plastic strain", shrink=0.8)
-    outline = scene.wedge.outline(np.zeros(2), np.ones(2))[:, 0]
-    right.fill(*outline.T, color="0.7", zorder=3)
-    c = args.depth
-    right.set(xlim=(0, 2.5 * c), ylim=(-2 * c, c))
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"wedge_{args.semi_angle:g}.png", dpi=200)
-    plt.close(figure)
+    path = args.output / f"wedge_{args.semi_angle:g}.png"
+    with mpm.figure(path, 7.2, 3.0, ncols=2) as (figure, (left, right)):
+        depth, force = scene.history["depth"], scene.history["force"]
+        left.plot(depth, figures["exact_slope"] * depth, color="k", lw=1, label="Hill, Lee, Tupper")
+        left.plot(depth, force / COHESION, lw=1, label="material points")
+        left.set(xlabel="depth (m)", ylabel="force / $c_u$ (m)")
+        left.legend()
+        values = found[3] if len(found) > 3 else np.zeros(len(found[0]))
+        drawn = draw_points(right, *found[:3], values, cmap="viridis", clim=(0, 1.0))
+        figure.colorbar(drawn, ax=right, label="plastic strain", shrink=0.8)
+        outline = scene.wedge.outline(np.zeros(2), np.ones(2))[:, 0]
+        right.fill(*outline.T, color="0.7", zorder=3)
+        c = args.depth
+        right.set(xlim=(0, 2.5 * c), ylim=(-2 * c, c))
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
-    scene = Scene(args)
-    scene.run()
-    depth, force = scene.history["depth"], scene.history["force"]
-    late = depth >= 0.3 * depth[-1]
-    slope = float(np.polyfit(depth[late], force[late], 1)[0]) / COHESION
-    found, lip, pressure = exact(args.semi_angle)
-    rises = scene.lip() / float(depth[-1])
-    figures = {
-        "pressure": slope / (2 * math.tan(math.radians(args.semi_angle)) * (1 + rises)),
-        "slope": slope, "lip": scene.lip() / float(depth[-1]),
-        "mean_pressure": scene.pressure() / COHESION, "exact_slope": found, "exact_lip": lip,
-        "exact_pressure": pressure, "slope_error": slope / found - 1,
-        "mean_slope": float(force[-1] / depth[-1]) / COHESION, **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"slope {slope:.4f} ({found:.4f}, {100 * figures['slope_error']:+.2f} %), lip "
-        f"{figures['lip']:.4f} ({lip:.4f}), pressure {figures['pressure']:.3f} c_u "
-        f"({pressure:.4f}), at most {figures['max_newton_iterations']} iterations, "
-        f"{figures['halvings']} halvings"
-    )
-    if not args.no_plot:
-        draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+depth, force = scene.history["depth"], scene.history["force"]
+late = depth >= 0.3 * depth[-1]
+slope = float(np.polyfit(depth[late], force[late], 1)[0]) / COHESION
+found, lip, pressure = exact(args.semi_angle)
+rises = scene.lip() / float(depth[-1])
+figures = {
+    "pressure": slope / (2 * math.tan(math.radians(args.semi_angle)) * (1 + rises)),
+    "slope": slope, "lip": scene.lip() / float(depth[-1]),
+    "mean_pressure": scene.pressure() / COHESION, "exact_slope": found, "exact_lip": lip,
+    "exact_pressure": pressure, "slope_error": slope / found - 1,
+    "mean_slope": float(force[-1] / depth[-1]) / COHESION, **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"slope {slope:.4f} ({found:.4f}, {100 * figures['slope_error']:+.2f} %), lip "
+    f"{figures['lip']:.4f} ({lip:.4f}), pressure {figures['pressure']:.3f} c_u "
+    f"({pressure:.4f}), at most {figures['max_newton_iterations']} iterations, "
+    f"{figures['halvings']} halvings"
+)
+if not args.no_plot:
+    draw(args, scene, figures)
+finish(args, figures)

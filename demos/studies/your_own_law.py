@@ -12,13 +12,16 @@
 
 # %%
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import Options, natural, positive
+from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm
 from dolfinmpm.materials import Law, Parameter, law_kernel
@@ -140,29 +143,29 @@ def tangent_error(law, n=200, seed=0, size=0.03):
 
 
 # %% [markdown]
-# ## A small scene
+# ## A small problem
 # A block on a smooth floor, 2 m wide and 2 m high, spreads under its weight. One law after the
 # other.
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("Two laws that the library does not have.")
-    options.add_argument("--h", type=float, default=0.25, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=3, help="in each direction")
-    options.add_argument("--steps", type=int, default=20)
-    given = options.parse_args()
-    if not given.h > 0 or abs(1 / given.h - round(1 / given.h)) > 1e-9:
-        options.error(f"h = {given.h} m must divide 1 m")
-    return given
+@dataclass
+class Input(Options):
+    """Two laws that the library does not have."""
+
+    h: float = positive(0.25, "size of the cells (m)")
+    points_per_cell: int = natural(3, "in each direction")
+    steps: int = natural(20)
+
+    def _check(self):
+        if abs(1 / self.h - round(1 / self.h)) > 1e-9:
+            raise ValueError(f"h = {self.h} m must divide 1 m")
 
 
 def settle(law, weight, E):
     """Let half of a block settle under ρg = weight (Pa/m); returns figures and points."""
     n = round(1 / args.h)
-    cells = mesh.CellType.quadrilateral
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (3, 2)], (3 * n, 2 * n), cells)
+    grid = box_grid([(0, 0), (3, 2)], (3 * n, 2 * n))
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 2)), args.points_per_cell, density=1.0)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
@@ -183,7 +186,7 @@ def settle(law, weight, E):
     }, points
 
 
-args = arguments()
+args = Input.parse()
 laws = {
     "Swift": (Swift(E=1e6, nu=0.3, A=10e3, first_strain=0.05, exponent=0.3), 25e3, 1e6),
     "perfect": (mpm.materials.VonMises(E=1e6, nu=0.3, radius=10e3), 25e3, 1e6),

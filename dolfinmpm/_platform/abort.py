@@ -1,11 +1,11 @@
-"""An exception that nobody catches ends all ranks, and is told once.
+"""An uncaught exception ends all ranks, and its message is printed once.
 
-Without this the other ranks wait in their next collective call for ever, and so does the launcher.
-`python3 -m mpi4py` does not help: it aborts at the interpreter's end. PETSc is shut down before,
-and this shutdown is collective. Checks of dolfinmpm raise on all ranks together. An error in a
-script, or in another package, may be on some of the ranks only.
+Checks of dolfinmpm raise on all ranks together. An error in a script or in another package may be
+on some ranks only. The other ranks would wait in their next collective call for ever, and the
+launcher too. `python3 -m mpi4py` does not help: it aborts at the end of the interpreter, and the
+collective shutdown of PETSc comes before.
 
-The hook is set when ranks meet for the first time in a call of dolfinmpm, not by the import.
+The first collective call of dolfinmpm sets the hook; the import does not.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from dolfinmpm._platform.errors import DolfinMPMError, common_text
 
 __all__ = ["end_all_ranks"]
 
-GRACE = 2.0  # seconds in which all ranks may come to the same error
+GRACE = 2.0  # seconds in which all ranks may raise an error
 _TAG = 32_001
 _PACKAGE = Path(__file__).parents[1]
 
 
 def end_all_ranks(comm: MPI.Comm) -> None:
-    """Let exceptions that reach the interpreter end all ranks; nothing to do on one rank.
+    """Let uncaught exceptions end all ranks; nothing to do on one rank.
 
-    Where all ranks fail, rank 0 prints what they have to say, each text once, and every rank
-    ends by itself with exit code 1: an error of dolfinmpm is a sentence with the line of the
-    script that led to it, any other one its traceback. Where only some fail, each of them
-    prints its traceback under its number, and the run is aborted with exit code 1.
+    If all ranks fail, rank 0 prints each text once, and every rank ends with exit code 1. The text
+    for an error of dolfinmpm is its message with the line of the script; for another error it is
+    the traceback. If some ranks fail, each of them prints its traceback and its number, and the
+    run is aborted with exit code 1.
 
     Args:
-        comm: Communicator whose ranks are ended.
+        comm: Communicator of the ranks.
     """
     if comm.size == 1:
         return
@@ -56,7 +56,7 @@ def end_all_ranks(comm: MPI.Comm) -> None:
 
 
 def _sentence(error: DolfinMPMError, trace: TracebackType | None) -> str:
-    """The message, and the last line before it that is not dolfinmpm's own."""
+    """The message, and the last line outside dolfinmpm."""
     message = common_text(error) or f"{type(error).__name__}: {error}"
     where = ""
     for frame in traceback.extract_tb(trace):
@@ -67,7 +67,7 @@ def _sentence(error: DolfinMPMError, trace: TracebackType | None) -> str:
 
 
 def _report(texts: list[str]) -> str:
-    """Each text once, under its ranks if it is not that of all."""
+    """Each text once, with the numbers of its ranks if the texts differ."""
     if len(set(texts)) == 1:
         return texts[0]
     ranks: dict[str, list[str]] = {}
@@ -77,9 +77,9 @@ def _report(texts: list[str]) -> str:
 
 
 def _texts_of_all(comm: MPI.Comm, text: str) -> list[str] | None:
-    """What every rank says, if every other one comes here too before the time is over.
+    """Texts of all ranks, or None if a rank does not fail in time.
 
-    Messages, because a rank that has not failed may be in any collective call.
+    Ranks send messages, because a rank without an error may be in any collective call.
     """
     others = [rank for rank in range(comm.size) if rank != comm.rank]
     sent = [comm.isend(text, rank, _TAG) for rank in others]

@@ -1,8 +1,7 @@
-"""Named errors and warnings, and the one way to raise or give them on all ranks together.
+"""Named errors and warnings, raised on all ranks together.
 
-An exception that is raised on one rank only leaves the others waiting in the
-next collective call. Every check that can fail on some ranks therefore ends in
-:func:`raise_together`.
+If only one rank raises an exception, the other ranks wait for ever in the next collective call.
+Every check that can fail on some ranks therefore ends in `raise_together`.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ __all__ = [
     "ImbalanceWarning",
     "InstabilityError",
     "MigrationError",
+    "MissingPackageError",
     "ParameterError",
     "PointsOutsideGridError",
     "ShapeOutsideGridError",
@@ -61,26 +61,26 @@ class DolfinMPMError(Exception):
 
 
 class ParameterError(DolfinMPMError, ValueError):
-    """A number or a name is outside what it may be."""
+    """An argument has a value that is not allowed."""
 
 
 class UnknownNameError(ParameterError, KeyError, AttributeError):
-    """Nothing goes by the name that was asked for."""
+    """Nothing has the given name."""
 
     # a KeyError shows its message in quotes
     __str__ = Exception.__str__
 
 
 class DifferentCallsError(DolfinMPMError, RuntimeError):
-    """Ranks make different calls where all of them must make the same."""
+    """Ranks make different calls, and all ranks must make the same call."""
 
 
 class FieldShapeError(DolfinMPMError, ValueError):
-    """A field of the material points was given an array of the wrong shape."""
+    """An array has the wrong shape."""
 
 
 class ShapeOutsideGridError(DolfinMPMError, ValueError):
-    """A shape to be filled with material points reaches outside the background grid."""
+    """A shape for material points reaches outside the background grid."""
 
 
 class EmptyShapeError(DolfinMPMError, ValueError):
@@ -88,7 +88,7 @@ class EmptyShapeError(DolfinMPMError, ValueError):
 
 
 class UnsupportedGridError(DolfinMPMError, ValueError):
-    """The background grid is not of the kind that was asked of it."""
+    """The background grid does not have the properties that a function needs."""
 
 
 class ConflictingConditionsError(DolfinMPMError, ValueError):
@@ -96,7 +96,11 @@ class ConflictingConditionsError(DolfinMPMError, ValueError):
 
 
 class FormError(DolfinMPMError, ValueError):
-    """A term of the weak form cannot be evaluated where it stands."""
+    """A term of the weak form cannot be evaluated."""
+
+
+class MissingPackageError(DolfinMPMError, ImportError):
+    """An optional package or program is necessary for a call, and is not installed."""
 
 
 class PointsOutsideGridError(DolfinMPMError, RuntimeError):
@@ -112,15 +116,15 @@ class StateError(DolfinMPMError, RuntimeError):
 
 
 class CheckpointError(DolfinMPMError, RuntimeError):
-    """A checkpoint cannot be written or read, or is not one of this problem."""
+    """A checkpoint cannot be written or read, or belongs to another problem."""
 
 
 class ConvergenceError(DolfinMPMError, RuntimeError):
-    """A step did not converge, however small it was made."""
+    """A step did not converge, even with the smallest substeps."""
 
 
 class UndeterminedFieldError(DolfinMPMError, RuntimeError):
-    """A field is determined up to a constant alone."""
+    """A field is determined only up to a constant."""
 
 
 class InstabilityError(DolfinMPMError, RuntimeError):
@@ -128,19 +132,19 @@ class InstabilityError(DolfinMPMError, RuntimeError):
 
 
 class DolfinMPMWarning(UserWarning):
-    """Base class of every warning that dolfinmpm gives; one rank gives it."""
+    """Base class of every warning of dolfinmpm; one rank gives the warning."""
 
 
 class IdleConditionWarning(DolfinMPMWarning):
-    """An essential condition holds no node that the body moves."""
+    """An essential condition constrains no active node."""
 
 
 class FreeAxisWarning(DolfinMPMWarning):
-    """A body of revolution reaches its axis, and nothing holds it there radially."""
+    """An axisymmetric body reaches the axis without a radial condition there."""
 
 
 class DegreesWarning(DolfinMPMWarning):
-    """An angle may have been given in radians in place of degrees, or the reverse."""
+    """An angle may be in radians instead of degrees, or the reverse."""
 
 
 class DifferentProblemWarning(DolfinMPMWarning):
@@ -148,11 +152,11 @@ class DifferentProblemWarning(DolfinMPMWarning):
 
 
 class SingularMassWarning(DolfinMPMWarning):
-    """A consistent mass is next to singular: its nodal velocities are out of all proportion."""
+    """A consistent mass is nearly singular: its nodal velocities are far too large."""
 
 
 class SoftVolumeWarning(DolfinMPMWarning):
-    """F-bar leaves changes of volume with too little stiffness for the law."""
+    """F-bar leaves too little volumetric stiffness for the law."""
 
 
 class UnstablePairWarning(DolfinMPMWarning):
@@ -160,20 +164,20 @@ class UnstablePairWarning(DolfinMPMWarning):
 
 
 class UnreadOptionWarning(DolfinMPMWarning):
-    """An option of PETSc was given, and nothing that solves a problem has read it."""
+    """No solver has read a given option of PETSc."""
 
 
 class ImbalanceWarning(DolfinMPMWarning):
-    """Some rank has far more material points than others."""
+    """A rank has far more material points than other ranks."""
 
 
 def warn(comm: MPI.Comm, message: str, category: type[DolfinMPMWarning]) -> None:
-    """Warn on rank 0, at the line of the user's script that led here.
+    """Warn on rank 0, at the line of the user's script.
 
     Args:
-        comm: Communicator of the ranks that may all make this call.
-        message: What to say.
-        category: Kind of warning.
+        comm: Communicator of the ranks.
+        message: The message.
+        category: Class of the warning.
     """
     if comm.rank != 0:
         return
@@ -189,7 +193,7 @@ def call_together(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
 
     Args:
         comm: Communicator whose ranks all make this call.
-        function: What to call; it makes no collective calls itself.
+        function: The function; it makes no collective calls itself.
     """
     error, result = None, None
     try:
@@ -208,16 +212,15 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
         error: This rank's error, or None.
 
     Raises:
-        Exception: This rank's own error, or, on the ranks that have none, an
-            error of the same class as that of the lowest failing rank and with
-            its message.
+        Exception: This rank's error. Ranks without an error raise an error with the class and the
+            message of the lowest failing rank.
     """
     if comm.size == 1:
         if error is not None:
             raise error
         return
     lowest = np.array([comm.rank if error is not None else comm.size])
-    # of a number in an array; one of Python's would take four times as long
+    # a reduction of an array takes a quarter of the time of a Python number
     comm.Allreduce(MPI.IN_PLACE, lowest, op=MPI.MIN)
     failing = int(lowest[0])
     if failing == comm.size:
@@ -234,5 +237,5 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
 
 
 def common_text(error: BaseException) -> str | None:
-    """What all ranks say of an error that they raised together: class and message of one."""
+    """Class and message that all ranks have in common for an error raised together, or None."""
     return error.__dict__.get(_COMMON)

@@ -1,11 +1,9 @@
-"""Compilation through FFCx that waits for others, and gets over what an interrupted run left.
+"""Compilation through FFCx that waits for other processes, and removes marks of stopped runs.
 
-FFCx marks what it compiles by an empty file of the final name, and lets everybody
-else wait for ten seconds. A run that was stopped in the middle leaves the mark
-behind, and without help every later run with the same form would fail. While it
-compiles, a process therefore also holds a locked file in the same folder; the system
-lets go of it however the process ends, and a mark that is older than all held locks is
-nobody's.
+FFCx marks a compilation by an empty file with the final name. Other processes wait for ten seconds.
+A stopped run leaves its mark, and every later run with the same form would fail. While a process
+compiles, it therefore also holds a locked file in the same folder. The system releases the lock
+when the process ends. A mark that is older than all held locks is abandoned.
 """
 
 from __future__ import annotations
@@ -27,29 +25,29 @@ __all__ = ["patiently"]
 
 Result = TypeVar("Result")
 
-ABANDONED = 60.0  # seconds after which nobody without a lock is taken to be compiling any more
-LONGEST = 9000.0  # seconds to wait for others in all
+ABANDONED = 60.0  # seconds after which a mark without a lock is abandoned
+LONGEST = 9000.0  # seconds of waiting for other processes in total
 _MARK = re.compile(r"JIT compilation timed out.*remove (\S+\.c)\b", re.DOTALL)
 _READY = re.compile(r"File exists: '([^']+\.c)\.cached'")
 _LOCKS = "dolfinmpm-*.lock"
 
 
 def patiently(comm: MPI.Comm, build: Callable[[], Result]) -> Result:
-    """Compile; wait for others who compile the same; remove abandoned marks. Collective.
+    """Compile; wait for processes that compile the same form; remove abandoned marks. Collective.
 
     Args:
         comm: Communicator of the grid.
-        build: Calls FFCx through DOLFINx, which compiles on rank 0 and raises on
-            all ranks.
+        build: Function that calls FFCx through DOLFINx, which compiles on rank 0 and raises on all
+            ranks.
 
     Raises:
-        Exception: What `build` raises for other reasons, or if others are still
-            compiling after 2.5 hours.
+        Exception: `build` raises for another reason, or other processes still compile after 2.5
+            hours.
     """
     end = time.monotonic() + LONGEST
     while True:
         try:
-            # a lock of this try only: who waits for a mark did not make it
+            # the lock is for this try only: a process that waits for a mark did not make the mark
             with _compiling() if comm.rank == 0 else contextlib.nullcontext():
                 return build()
         except (OSError, RuntimeError) as error:
@@ -62,11 +60,11 @@ def patiently(comm: MPI.Comm, build: Callable[[], Result]) -> Result:
 
 @contextlib.contextmanager
 def _compiling() -> Iterator[None]:
-    """Hold a file that says that this process may be compiling, and since when."""
+    """Hold a locked file that shows since when this process may be compiling."""
     folder = Path(jit.get_options()["cache_dir"])
     name = _LOCKS.replace("*", f"{socket.gethostname()}-{os.getpid()}")
     with contextlib.ExitStack() as stack:
-        # without locks, as on some network's file systems, age alone decides
+        # some network file systems have no locks: then only the age of a mark decides
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
             lock = stack.enter_context((folder / name).open("w"))
@@ -76,11 +74,11 @@ def _compiling() -> Iterator[None]:
 
 
 def _clear(message: str) -> bool:
-    """Whether to try again after an error; removes what nobody will finish."""
+    """Whether to try again after an error; removes abandoned marks."""
     if mark := _MARK.search(message):
         _remove_if_abandoned(Path(mark[1]))
     elif ready := _READY.search(message):
-        # two have compiled the same, and FFCx takes away the second's source
+        # two processes have compiled the same form, and FFCx removes the second source
         if not Path(ready[1]).exists():
             Path(f"{ready[1]}.cached").unlink(missing_ok=True)
     else:
@@ -89,7 +87,7 @@ def _clear(message: str) -> bool:
 
 
 def _remove_if_abandoned(mark: Path) -> None:
-    # gone already, or another process's: then that is whom to wait for
+    # the mark may be removed already, or belong to a running process
     with contextlib.suppress(OSError):
         begun = mark.stat().st_mtime
         if time.time() - begun > ABANDONED and not _compiles_since(mark.parent, begun):
@@ -97,7 +95,7 @@ def _remove_if_abandoned(mark: Path) -> None:
 
 
 def _compiles_since(folder: Path, begun: float) -> bool:
-    """Whether anybody who holds a lock may have made a mark of that time."""
+    """Whether a process with a lock may have made a mark at this time."""
     for path in folder.glob(_LOCKS):
         with contextlib.suppress(OSError), path.open() as lock:
             since = os.fstat(lock.fileno()).st_mtime

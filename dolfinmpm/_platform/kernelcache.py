@@ -1,8 +1,7 @@
-"""Compiled loops of earlier versions of the sources are not used again.
+"""Compiled loops are compiled again after the sources have changed.
 
-Numba compiles a loop again when its own file has changed, but not when a function
-of another file that it calls has: after an update of the package it would go on
-with the old one without a word.
+Numba compiles a loop again if the file of the loop has changed. It does not if a called function in
+another file has changed: after an update of the package it would use the old function.
 """
 
 from __future__ import annotations
@@ -16,20 +15,19 @@ from pathlib import Path
 __all__ = ["forget_outdated"]
 
 STAMP = f"kernels-{sys.implementation.cache_tag}.sha256"
-# Numba's indices of this Python; those of another are its own affair
+# Numba's indices for this version of Python
 INDICES = f"__pycache__/*.py{sys.version_info.major}{sys.version_info.minor}*.nbi"
 
 
 def forget_outdated(package: Path, also: str = "") -> bool:
-    """Remove Numba's indices in a package if any source with a loop is not what it was.
+    """Remove Numba's indices in a package if a source with a loop has changed.
 
-    Several processes may do so at once: what one of them misses it compiles again.
-    Where the folder cannot be written to, as in a system's installation, nothing changes
-    but by a new installation.
+    Several processes may do it at the same time. If the folder is read-only, as in a system's
+    installation, nothing is removed.
 
     Args:
         package: Folder of the package.
-        also: What else the loops are compiled for.
+        also: Further text that the compiled loops depend on.
 
     Returns:
         Whether the sources had changed.

@@ -1,8 +1,8 @@
-"""What each process of a run does, in memory that the others of its node see.
+"""Shared memory in which each process of a run shows its state to the processes of its node.
 
-A rank that waits must know of others without their help, for they may have ended. So each process
-writes into a slot of its own, a file of some bytes that lies in memory: to write takes less than a
-microsecond and no message, and from the start the others find it by the name of the run.
+A waiting rank must know the state of other ranks without their help, because they may have ended.
+Each process therefore writes its state into a slot. A slot is a file of some bytes in memory.
+Writing takes less than a microsecond and no message. Processes find the files by the run's name.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ import numpy as np
 
 __all__ = ["Memory", "Slot", "answer", "ask", "find", "own_memory", "read", "remove_all"]
 
-# A slot, as `Slot` tells it; `asked` tells that somebody wants to know where the process is
+# Layout of a slot, see `Slot`. `asked` means that another process asks for the script's line.
 _TEXT = 448
 _SLOT = np.dtype(
     [
-        ("group", np.int64), ("doors", np.int64), ("at_door", bool), ("inside", bool),
+        ("group", np.int64), ("calls", np.int64), ("waiting", bool), ("inside", bool),
         ("since", np.int64), ("failed", bool), ("ended", bool), ("asked", bool),
         ("text", f"S{_TEXT}"),
     ],
     align=True,
 )  # fmt: skip
 Memory = np.void
-# Names by which launchers tell one run from another
+# Environment variables in which launchers name a run
 _RUNS = "PMIX_NAMESPACE", "OMPI_MCA_ess_base_jobid", "PMI_JOBID", "SLURM_STEP_ID"
 
 
 @dataclass(frozen=True)
 class Slot:
-    """What a process does.
+    """State of a process.
 
     Attributes:
-        rank: Its rank of all.
-        group: Which ranks it met last, or waits for, as a number.
-        doors: To how many collective calls of theirs it has come.
-        at_door: Whether it waits for them to come to the last one.
-        inside: Whether it is in a call, of these ranks or of others.
-        since: When it last came to a call, entered or left one (ns of the monotonic clock).
-        failed: Whether the last call that it left ended in an error.
-        ended: Whether its script has come to its end.
-        text: Where it is, if it was asked and has answered.
+        rank: Number of the process in MPI's world.
+        group: Number of the group of ranks of its last barrier.
+        calls: Number of barriers of this group that the process has come to.
+        waiting: Whether it waits at the last barrier.
+        inside: Whether it is in a collective call of any group.
+        since: Time at which it last came to a call, entered or left one (ns, monotonic clock).
+        failed: Whether its last finished call ended in an error.
+        ended: Whether its script has ended.
+        text: Line of its script, if another process has asked for the line.
     """
 
     rank: int
     group: int = 0
-    doors: int = 0
-    at_door: bool = False
+    calls: int = 0
+    waiting: bool = False
     inside: bool = False
     since: int = 0
     failed: bool = False
@@ -61,7 +61,7 @@ class Slot:
 
 
 def read(memory: Memory, rank: int) -> Slot:
-    """What a slot says of the process of a rank."""
+    """State of the process of a rank."""
     values = dict(zip(_SLOT.names or (), memory.item()))
     del values["asked"]
     values["text"] = values["text"].decode(errors="ignore")
@@ -69,32 +69,32 @@ def read(memory: Memory, rank: int) -> Slot:
 
 
 def ask(memory: Memory) -> None:
-    """Ask a process where it is; if its watch is not held up it answers."""
+    """Ask a process for the line of its script. Its watchdog thread answers, unless it is busy."""
     memory["text"], memory["asked"] = b"", True
 
 
 def answer(memory: Memory, text: str) -> None:
-    """Tell where this process is."""
+    """Answer with the line of this process's script."""
     memory["text"], memory["asked"] = text.encode()[:_TEXT], False
 
 
 def _folder() -> Path:
-    """A folder in memory, or the one for temporary files."""
+    """A folder in memory, or the folder for temporary files."""
     folder = Path("/dev/shm")
     return folder if os.access(folder, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
 
 
 def _run() -> str:
-    """The name of files of this user's run; without a launcher's name that of who started all."""
+    """Beginning of file names of this user's run, from the launcher or the parent process."""
     names = [os.environ[name] for name in _RUNS if name in os.environ] or [str(os.getppid())]
     return f"dolfinmpm-{os.getuid()}-{zlib.crc32(' '.join(names).encode()):08x}"
 
 
 def own_memory(rank: int) -> tuple[Memory, str]:
-    """The slot of this process, and its file; without one where none can be written.
+    """Slot of this process, and its file; "" if no file can be written.
 
     Args:
-        rank: Its rank of all.
+        rank: Number of the process in MPI's world.
     """
     folder, run = _folder(), _run()
     _remove_abandoned(folder)
@@ -108,11 +108,11 @@ def own_memory(rank: int) -> tuple[Memory, str]:
 
 
 def find(rank: int, path: str = "") -> Memory | None:
-    """The slot of another process of this run and node, or None.
+    """Slot of another process of this run and node, or None.
 
     Args:
-        rank: Its rank of all.
-        path: Its file, if that is known.
+        rank: Number of the process in MPI's world.
+        path: File of the slot, if it is known.
     """
     files = [Path(path)] if path else list(_folder().glob(f"{_run()}-{rank}-*"))
     return next((memory for memory in map(_opened, files) if memory is not None), None)
@@ -125,20 +125,20 @@ def _opened(file: Path) -> Memory | None:
     return None
 
 
-def remove_all(even: bool = False) -> None:
-    """Remove the files of this run and node.
+def remove_all(running: bool = False) -> None:
+    """Remove the files of this run and node, if all processes have ended.
 
     Args:
-        even: Whether even those of processes that have not ended; else the last one removes them.
+        running: Whether to remove them also while processes run.
     """
     files = list(_folder().glob(f"{_run()}-*"))
-    if even or all(m is None or m["ended"] for m in map(_opened, files)):
+    if running or all(m is None or m["ended"] for m in map(_opened, files)):
         for file in files:
             file.unlink(missing_ok=True)
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove the files of processes that were killed."""
+    """Remove the files of killed processes."""
     for file in folder.glob(f"dolfinmpm-{os.getuid()}-*"):
         try:
             os.kill(int(file.name.rpartition("-")[2]), 0)

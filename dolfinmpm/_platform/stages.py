@@ -1,11 +1,11 @@
-"""Where the time of a step goes: one clock for PETSc's log and for the records of steps.
+"""Stages of a step: one clock for PETSc's log and for the records of steps.
 
-Time belongs to one stage alone. A stage that is entered within another stops the clock of that
-one until it is left, in PETSc's log too: the residual that SNES asks for counts as evaluation and
-assembly, not as solution, and all stages together are no more than the whole.
+Every moment belongs to one stage only. An inner stage stops the clock of the outer stage, also in
+PETSc's log. The residual that SNES computes counts as evaluation and assembly, for example, and
+not as solution. The stages of a step add up to no more than the step.
 
-Nothing is measured unless somebody asks for it, by `measure_stages` or for PETSc's log: a step
-enters dozens of stages, and of one with few points their clock would be half a per cent.
+Stages are measured only after `measure_stages`, or for PETSc's log. A step enters dozens of stages:
+with few points, the clock would take half a per cent of the step.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any, TypeVar, cast
 
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.argumentchecks import truth
 
 __all__ = ["NAMES", "STEP", "Watch", "activate", "assemble", "commit", "evaluate",
            "measure_stages", "migrate", "output", "solve"]  # fmt: skip
 
-# what a step consists of, and what is written about it
+# Stages of a step, and the output between steps
 STEP = ("activate", "evaluate", "assemble", "solve", "commit", "migrate")
 NAMES = (*STEP, "output")
 
@@ -32,16 +32,16 @@ _active = PETSc.Log.isActive
 
 
 class _StageClock:
-    """What is entered now, and whether it is measured.
+    """The present stage, and whether stages are measured.
 
     Attributes:
-        on: Whether anything is measured.
-        asked: Whether `measure_stages` asked for it.
-        logged: Whether PETSc keeps a log, as it was when the step began.
-        since: Since when the seconds of the stage in front are not counted yet (s).
-        front: The stage that was entered last and not left.
-        outer: What those that were entered by name interrupt.
-        latest: Seconds of the step that was taken last, which output belongs to.
+        on: Whether stages are measured.
+        asked: Whether `measure_stages` has asked for it.
+        logged: Whether PETSc kept a log at the start of the step.
+        since: Time up to which the seconds of the present stage are counted (s).
+        front: The present stage, or None.
+        outer: Interrupted stages, one per entered stage.
+        latest: Seconds of the stages of the last step; later output is added.
     """
 
     __slots__ = ("asked", "front", "latest", "logged", "on", "outer", "since")
@@ -55,7 +55,7 @@ class _StageClock:
         self.latest: dict[str, float] = {}
 
     def turn(self, to: Stage | None) -> None:
-        """The stage in front is interrupted or left; another is in front."""
+        """Change the present stage."""
         now, front = perf_counter(), self.front
         if front is not None:
             front.seconds += now - self.since
@@ -67,7 +67,7 @@ class _StageClock:
         self.front, self.since = to, now
 
     def begin(self) -> bool:
-        """A step begins; returns whether it is measured."""
+        """Begin a step; returns whether its stages are measured."""
         if self.front is None:
             self.logged = bool(_active())
             self.on = self.asked or self.logged
@@ -78,14 +78,14 @@ _clock = _StageClock()
 
 
 class Stage:
-    """A part of a step: `with stage: …`, or `@stage` before a function.
+    """A stage of a step: `with stage: …`, or `@stage` before a function.
 
     Args:
-        name: Its name; that of the event in PETSc's log is "mpm:" and this.
+        name: Name of the stage. PETSc's event is called "mpm:" and the name.
 
     Attributes:
         name: The argument.
-        seconds: Wall time of this process in it so far, without that of stages within it (s).
+        seconds: Wall time of this process in the stage so far, without inner stages (s).
         event: PETSc's event.
     """
 
@@ -96,7 +96,7 @@ class Stage:
         self.event = PETSc.Log.Event(f"mpm:{name}")
 
     def enter(self) -> None:
-        """Begin it; `leave` must follow, whatever happens."""
+        """Begin the stage; `leave` must follow, also after an error."""
         clock = _clock
         if clock.on:
             clock.outer.append(clock.front)
@@ -104,7 +104,7 @@ class Stage:
                 clock.turn(self)
 
     def leave(self) -> None:
-        """End it, and go on with what it interrupted."""
+        """End the stage, and continue the interrupted stage."""
         clock = _clock
         if clock.on:
             outer = clock.outer.pop()
@@ -129,12 +129,12 @@ class Stage:
 
 
 class _Output(Stage):
-    """Output is written between steps: it belongs to the one before."""
+    """Output between steps, which belongs to the step before."""
 
     __slots__ = ()
 
     def leave(self) -> None:
-        """End it, and add it to the record of the last step."""
+        """End the output, and add its seconds to the record of the last step."""
         before = self.seconds
         super().leave()
         latest = _clock.latest
@@ -143,17 +143,29 @@ class _Output(Stage):
 
 
 def measure_stages(on: bool = True) -> None:
-    """Measure the stages of steps from here on, for `stages` of the records in `history`.
+    """Measure the stages of the next steps, for `stages` of the records in `history`.
 
-    At first nothing is measured, unless PETSc keeps a log (`-log_view`).
-    `demos/studies/skip_table.py --only stages` counts what both take.
+    By default stages are measured only if PETSc keeps a log (`-log_view`).
+    `demos/studies/skip_table.py --only stages` measures the cost of both.
 
     Args:
-        on: Whether they are measured.
+        on: Whether stages are measured.
 
     Raises:
         ParameterError: `on` is neither True nor False.
         RuntimeError: A step is being taken.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> mpm.measure_stages()
+    >>> record = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+    >>> mpm.measure_stages(False)
+    >>> sorted(record.stages)
+    ['activate', 'assemble', 'commit', 'evaluate', 'migrate', 'output', 'solve']
     """
     if _clock.front is not None:
         raise RuntimeError("stages are switched on or off between steps")
@@ -167,7 +179,7 @@ _ALL = (activate, evaluate, assemble, solve, commit, migrate, output)
 
 
 class Watch:
-    """Seconds of each stage since it was made; output that is written later is added."""
+    """Seconds of each stage since the object was made; later output is added."""
 
     __slots__ = ("_before",)
 

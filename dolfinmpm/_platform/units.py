@@ -7,7 +7,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import DegreesWarning, warn
 
 __all__ = ["friction_coefficient", "in_radians", "warn_of_radians"]

@@ -1,14 +1,13 @@
-"""A rank that waits for ever says so, and ends the run.
+"""The watchdog: a rank that waits in vain prints a message, and later ends the run.
 
-Collective calls begin at a door where ranks wait for each other, see
-`dolfinmpm._platform.together`. Who waits there longer than some seconds tells once which call it
-is in and where the others are; after `DOLFINMPM_WAIT` seconds (600 by default, 0 for never) it
-ends all ranks. Ranks that compute are waited for as long as they need: only those count that are
-outside of any call, have come to the end of their script, or hang in a call that the waiting rank
-has left by an error.
+Collective calls begin with a barrier, see `dolfinmpm._platform.collective`. A rank that waits there
+for some seconds prints its call and the lines of the other ranks, once. After `DOLFINMPM_WAIT`
+seconds (600 by default, 0 for never) the rank ends all ranks. Time does not count while the other
+ranks compute in a call. It counts if the other rank is outside of calls, if its script has ended,
+or if it hangs in a call that the waiting rank has left by an error.
 
-A thread looks at plain memory twice per second, on more than one rank alone. It makes no calls of
-MPI but the one that ends the run.
+On several ranks, a thread reads the shared memory twice per second. Its only call of MPI is the
+call that ends the run.
 """
 
 from __future__ import annotations
@@ -22,32 +21,32 @@ from collections.abc import Sequence
 
 from mpi4py import MPI
 
+from dolfinmpm._platform.collective import RankGroup, process, script_line
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.sharedmemory import Memory, Slot, answer, ask, find, read, remove_all
-from dolfinmpm._platform.together import Ranks, here, line_of
 
-__all__ = ["Patience", "in_words", "watch"]
+__all__ = ["Patience", "message", "watch"]
 
-# Seconds between two looks, before a rank is told to wait, and for others to say where they are
+# Seconds between two checks, before the message, and for the answers of other ranks
 _PERIOD = 0.5
 _FIRST = 10.0
 _ANSWER = 0.8
-# Seconds after which one that has ended is no longer about to begin a call, as at the exit
+# Seconds after which an ended script makes no further call, such as a call at exit
 _ENDED = 1.0
 _LIMIT = 600.0
 
 
 class Patience:
-    """How long a rank has waited in vain, and what it does about it.
+    """How long a rank has waited in vain, and what follows.
 
     Args:
         limit: Seconds after which all ranks are ended; 0 for never.
 
     Attributes:
         limit: The argument.
-        first: Seconds after which it is told.
-        waited: Seconds for which the same ranks have been missing, and idle.
-        missing: Those that are missing.
+        first: Seconds after which the rank prints a message.
+        waited: Seconds for which the same ranks have been missing and idle.
+        missing: States of the missing ranks.
     """
 
     def __init__(self, limit: float):
@@ -59,20 +58,20 @@ class Patience:
         self._told = False
 
     def look(self, slots: Sequence[Slot], me: Slot, passed: float) -> str:
-        """What is to be done: "" for nothing, "tell" or "end".
+        """What to do now: "" for nothing, "tell" to print a message, or "end" to end the run.
 
         Args:
-            slots: What all ranks do.
-            me: What this one does.
-            passed: Seconds since the last look; those of a run that was stopped do not count.
+            slots: States of all ranks.
+            me: State of this rank.
+            passed: Seconds since the last call, without the seconds of a suspended run.
         """
         self.missing = [s for s in slots if not _waits_with(s, me)]
         ended = any(s.ended for s in self.missing)
         busy = any(s.inside and not s.ended and not _left(s, me) for s in self.missing)
-        if not me.at_door or not self.missing or (busy and not ended):
+        if not me.waiting or not self.missing or (busy and not ended):
             self.begin()
             return ""
-        key = (me.doors, *((s.rank, s.since) for s in self.missing))
+        key = (me.calls, *((s.rank, s.since) for s in self.missing))
         if key != self._key:
             self.begin(key)
         self.waited += passed
@@ -84,35 +83,35 @@ class Patience:
         return "tell"
 
     def begin(self, key: object = None) -> None:
-        """Count from now on; without a key nobody waits."""
+        """Start the count again; without a key no rank waits."""
         if self._told:
-            # it was right to wait: those others need longer
+            # waiting was right: the other ranks need longer
             self.first = max(self.first, 2.0 * self.waited)
         self._key, self._told, self.waited = key, False, 0.0
 
 
 def _waits_with(other: Slot, me: Slot) -> bool:
-    """Whether a rank waits at the same door."""
-    return other.at_door and (other.group, other.doors) == (me.group, me.doors)
+    """Whether a rank waits at the same barrier."""
+    return other.waiting and (other.group, other.calls) == (me.group, me.calls)
 
 
 def _left(other: Slot, me: Slot) -> bool:
-    """Whether a rank is in a call that this one has left by an error."""
-    return me.failed and other.group == me.group and other.doors < me.doors
+    """Whether a rank is in a call that this rank has left by an error."""
+    return me.failed and other.group == me.group and other.calls < me.calls
 
 
 def watch(comm: MPI.Intracomm) -> None:
-    """Begin to watch; nothing to do on one rank.
+    """Start the watchdog's thread on several ranks.
 
     Args:
-        comm: Communicator whose ranks are ended.
+        comm: Communicator whose ranks the watchdog ends.
 
     Raises:
         ParameterError: `DOLFINMPM_WAIT` is no number of seconds.
     """
     if comm.size > 1:
-        one = _Watch(comm, Patience(_limit()))
-        threading.Thread(target=one.run, name="dolfinmpm watchdog", daemon=True).start()
+        watchdog = _Watchdog(comm, Patience(_limit()))
+        threading.Thread(target=watchdog.run, name="dolfinmpm watchdog", daemon=True).start()
 
 
 def _limit() -> float:
@@ -123,14 +122,14 @@ def _limit() -> float:
         limit = -1.0
     if not 0.0 <= limit < math.inf:
         raise ParameterError(
-            f"DOLFINMPM_WAIT = {text!r} must be a number of seconds, after which a rank that waits "
-            "in vain ends all ranks; 0 is never"
+            f"DOLFINMPM_WAIT = {text!r} must be a number of seconds of at least 0. A rank that "
+            "waits so long in vain ends all ranks; 0 is never"
         )
     return limit
 
 
-class _Watch:
-    """The thread that looks."""
+class _Watchdog:
+    """The thread that reads the states of the ranks."""
 
     def __init__(self, comm: MPI.Intracomm, patience: Patience):
         self._comm, self._patience = comm, patience
@@ -141,19 +140,19 @@ class _Watch:
         self._aborts = MPI.Query_thread() == MPI.THREAD_MULTIPLE
 
     def run(self) -> None:
-        """Look twice per second, until the process ends."""
+        """Check twice per second, until the process ends."""
         last = time.monotonic()
         while True:
             time.sleep(_PERIOD)
-            memory = here.memory
+            memory = process.memory
             if memory is not None and memory["asked"]:
-                answer(memory, _place())
+                answer(memory, _own_line())
             now = time.monotonic()
             self._look(min(now - last, 2 * _PERIOD))
             last = now
 
     def _look(self, passed: float) -> None:
-        ranks, patience = here.door, self._patience
+        ranks, patience = process.waits_with, self._patience
         if ranks is None:
             patience.begin()
             return
@@ -167,26 +166,27 @@ class _Watch:
         time.sleep(_ANSWER)
         before, (slots, me) = patience.missing, self._slots(ranks)
         patience.look(slots, me, 0.0)
-        if here.door is not ranks or _times(before) != _times(patience.missing):
+        if process.waits_with is not ranks or _times(before) != _times(patience.missing):
             return
         ends = verdict == "end"
-        text = in_words(waiting, patience, f"{here.call}, {_place()}", ends)
+        text = message(waiting, patience, f"{process.call}, {_own_line()}", ends)
         print(text, file=sys.stderr, flush=True)
         if ends:
             self._end()
 
     def _end(self) -> None:
         sys.stdout.flush()
-        remove_all(even=True)
+        remove_all(running=True)
         if self._aborts:
             self._comm.Abort(1)
         os._exit(1)
 
-    def _slots(self, ranks: Ranks) -> tuple[list[Slot], Slot]:
-        """What those of the ranks do that are known here, and this one."""
+    def _slots(self, ranks: RankGroup) -> tuple[list[Slot], Slot]:
+        """States of the ranks of this node, and the state of this rank."""
         for rank in ranks.world:
             if self._memory.get(rank) is None:
-                found = here.memory if rank == self._rank else find(rank, ranks.files.get(rank, ""))
+                file = ranks.files.get(rank, "")
+                found = process.memory if rank == self._rank else find(rank, file)
                 if found is not None:
                     self._memory[rank] = found
         slots = [read(self._memory[r], r) for r in ranks.world if r in self._memory]
@@ -197,18 +197,18 @@ def _times(slots: Sequence[Slot]) -> list[tuple[int, int]]:
     return [(s.rank, s.since) for s in slots]
 
 
-def _place() -> str:
-    """The line of the script that the main thread is at."""
-    return line_of(sys._current_frames().get(threading.main_thread().ident or 0))
+def _own_line() -> str:
+    """Line of the script that the main thread executes."""
+    return script_line(sys._current_frames().get(threading.main_thread().ident or 0))
 
 
-def in_words(waiting: Sequence[int], patience: Patience, where: str, ends: bool) -> str:
-    """What is told.
+def message(waiting: Sequence[int], patience: Patience, where: str, ends: bool) -> str:
+    """The watchdog's message.
 
     Args:
-        waiting: Ranks that wait.
-        patience: Whom they wait for, and for how long.
-        where: The call that they wait in, and its line.
+        waiting: Waiting ranks.
+        patience: Missing ranks, and the time of waiting.
+        where: Call of the waiting ranks, and its line in the script.
         ends: Whether all ranks are ended now.
     """
     many = len(waiting) > 1
@@ -218,7 +218,7 @@ def in_words(waiting: Sequence[int], patience: Patience, where: str, ends: bool)
         f"{patience.waited:.0f} s in {where}. "
     )
     for slot in patience.missing:
-        text += _in_words(slot, f"rank{'s' * many} {names}")
+        text += _sentence_about(slot, f"rank{'s' * many} {names}")
     text += "Every rank must make this call: do not put it under a condition on the rank. "
     limit = f"DOLFINMPM_WAIT = {patience.limit:g}"
     if ends:
@@ -230,11 +230,11 @@ def in_words(waiting: Sequence[int], patience: Patience, where: str, ends: bool)
     )
 
 
-def _in_words(slot: Slot, waiting: str) -> str:
+def _sentence_about(slot: Slot, waiting: str) -> str:
     if slot.ended:
         return f"Rank {slot.rank} has come to the end of its script. "
     at = f" at {slot.text}" if slot.text else ""
     if slot.inside:
         return f"Rank {slot.rank} is{at} in a call that {waiting} left by an error. "
-    where = "a call with other ranks" if slot.at_door else "no call of dolfinmpm"
+    where = "a call with other ranks" if slot.waiting else "no call of dolfinmpm"
     return f"Rank {slot.rank} is{at} in {where}. "

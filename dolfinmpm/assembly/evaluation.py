@@ -7,18 +7,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.assembly.functions import function_values
+from dolfinmpm.assembly.functionvalues import function_values
 from dolfinmpm.assembly.region import PointFailure, Region
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import ActiveTerm
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import ActiveRegion
+from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.placeholders import Placeholders
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
-from dolfinmpm.forms.slots import Slots
 
 __all__ = ["Evaluation"]
 
@@ -151,11 +151,13 @@ class Evaluation(ActiveTerm):
         """
         self.failure = PointFailure(point, "")
 
-    def run(self, slots: Slots, program: Program, rows: npt.NDArray[np.integer]) -> Array:
+    def run(
+        self, placeholders: Placeholders, program: Program, rows: npt.NDArray[np.integer]
+    ) -> Array:
         """Run a program of state and increments at some points.
 
         Args:
-            slots: Slots of the program. A law is zero at points with other laws.
+            placeholders: Placeholders of the program. A law is zero at points with other laws.
             program: The program.
             rows: Numbers of the points, shape (n,).
 
@@ -165,13 +167,13 @@ class Evaluation(ActiveTerm):
         data: dict[tuple, Array] = {}
         for key in program.inputs:
             if key[0] == "constant":
-                data[key] = np.array(slots.constants[key[1]].value, float).reshape(1, -1)
+                data[key] = np.array(placeholders.constants[key[1]].value, float).reshape(1, -1)
             elif key[0] == "function":
-                function, gradient = slots.functions[key[1]]
+                function, gradient = placeholders.functions[key[1]]
                 values = function_values(function, gradient, self._points)
                 data[key] = values.take(rows, axis=0)
             elif key[0] == "operator":
-                data[key] = self._asked(slots.operators[key[1]], rows)
+                data[key] = self._asked(placeholders.operators[key[1]], rows)
             else:
                 data[key] = self._shared[key].take(rows, axis=0)
         values = np.empty((len(rows), program.size))

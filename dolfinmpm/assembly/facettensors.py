@@ -28,7 +28,7 @@ from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.compat import geometric_dimension, restrict
-from dolfinmpm.assembly.facetplaces import FacetPlace, gauss_rule, product, splines
+from dolfinmpm.assembly.latticefacets import LatticeFacet, gauss_rule, product, splines
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
 __all__ = ["FacetTensors", "facet_moduli", "readable"]
@@ -51,7 +51,7 @@ _OPERATORS = (
 class _Facing(MultiFunction):
     """Replaces the normal of a facet by numbers; most terms then vanish."""
 
-    def __init__(self, place: FacetPlace):
+    def __init__(self, place: LatticeFacet):
         super().__init__()
         outwards = -1 if place.swapped else 1
         along = [outwards * (d == place.direction) for d in range(len(place.lines))]
@@ -157,7 +157,9 @@ def _factor(o: Expr) -> _Factor | None:
 class _Numbers(MultiFunction):
     """Evaluates an integrand at a facet, with given values of its factors."""
 
-    def __init__(self, place: FacetPlace, factors: dict[_Factor, Array], one: FacetModulus | None):
+    def __init__(
+        self, place: LatticeFacet, factors: dict[_Factor, Array], one: FacetModulus | None
+    ):
         super().__init__()
         self._place = place
         self._factors = factors
@@ -226,7 +228,7 @@ class _Integral:
         ]
         self.factors = [f for f in factors if f]
 
-    def weights(self, place: FacetPlace, components: int, one: FacetModulus | None) -> Array:
+    def weights(self, place: LatticeFacet, components: int, one: FacetModulus | None) -> Array:
         """Weights of all products of a test function's factor and an increment's factor.
 
         Args:
@@ -267,7 +269,7 @@ class FacetTensors:
         # by direction of the facet, and whether its first cell is the upper cell
         self._facing: dict[tuple[int, bool], list[_Integral]] = {}
 
-    def __call__(self, place: FacetPlace, one: FacetModulus | None = None) -> Array:
+    def __call__(self, place: LatticeFacet, one: FacetModulus | None = None) -> Array:
         """The tensor of one facet, with the present values of the form's constants.
 
         Args:
@@ -300,7 +302,7 @@ class FacetTensors:
                 total += product(lines)[:, :, None] * blocks[r, s]
         return total
 
-    def _lines(self, place: FacetPlace, first, second, gauss: int | None) -> list[Array]:
+    def _lines(self, place: LatticeFacet, first, second, gauss: int | None) -> list[Array]:
         """Matrices of two derivatives on their sides, one matrix per direction."""
         matrices: list[Array] = []
         for d, line in enumerate(place.lines):
@@ -316,7 +318,7 @@ class FacetTensors:
             matrices.append((0.5 * h * weights * a.T) @ b)
         return matrices
 
-    def _across(self, place: FacetPlace, side: str, order: int) -> Array:
+    def _across(self, place: LatticeFacet, side: str, order: int) -> Array:
         """Derivatives at the facet of the splines normal to it, from the cell on a side.
 
         The spline that does not reach this cell has the value 0.

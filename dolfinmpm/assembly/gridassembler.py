@@ -21,14 +21,14 @@ from dolfinmpm._platform.compat import (
     integration_domains,
     pack_coefficients,
 )
-from dolfinmpm.assembly.facetpairs import INTERVALS, MeshPairs, by_ratio
+from dolfinmpm.assembly.facetpenalties import INTERVALS, MeshPairs, by_ratio
 from dolfinmpm.assembly.facettensors import facet_moduli
-from dolfinmpm.assembly.splinefacets import FacetBlock, are_alike
+from dolfinmpm.assembly.splinefacets import FacetBlock, uses_facet_classes
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
+from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.facetmoduli import FacetModulus
-from dolfinmpm.cut.participants import ActiveField
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.forms.gridterms import GridTerms
@@ -54,14 +54,12 @@ def _entries(indptr, indices, rows, columns):
             at += 1
 
 
-class _Block:
+class _CompiledForm:
     """One compiled form: linear in a test function, or bilinear."""
 
-    def __init__(self, form: ufl.Form, grid, spaces: list[Space]):
-        self._grid = grid
+    def __init__(self, form: ufl.Form, spaces: list[Space]):
         self._spaces = spaces
-        self._ufl = form
-        self._compiled = compile_form(grid.comm, form)
+        self._compiled = compile_form(spaces[0].grid.comm, form)
         self.coefficients = form.coefficients()
         self.constants = form.constants()
         (data,) = form.subdomain_data().values()
@@ -106,9 +104,9 @@ class _Block:
             kind = IntegralType.interior_facet if facets else IntegralType.cell
             domains.setdefault(kind, []).append((number, entities[number]))
         self._entities = entities
-        spaces = [space.function_space for space in self._spaces]
+        spaces, grid = [space.function_space for space in self._spaces], self._spaces[0].grid
         self._form = create_form(
-            self._compiled, spaces, self._grid, domains, self.coefficients, self.constants
+            self._compiled, spaces, grid, domains, self.coefficients, self.constants
         )
         self._columns = [self._columns_of(modulus) for modulus in self._moduli]
         if len(spaces) == 2:
@@ -119,7 +117,7 @@ class _Block:
             # columns behind the known nodes belong to other ranks' shares of owned rows
             nodes = spaces[1].dofmap.index_map
             self._keep = None
-            if self._grid.comm.size > 1:
+            if grid.comm.size > 1:
                 self._keep = self.columns < nodes.size_local + nodes.num_ghosts
                 self.rows, self.columns = self.rows[self._keep], self.columns[self._keep]
 
@@ -205,7 +203,7 @@ class GridAssembler:
         self._external = self._linear_forms(terms.external)
         # terms that are linear in the increments act only by their Jacobian
         self._internal = {} if terms.linear else self._linear_forms(terms.internal)
-        self._jacobian: dict[tuple[int, int], _Block | FacetBlock] | None = None
+        self._jacobian: dict[tuple[int, int], _CompiledForm | FacetBlock] | None = None
         self._attached: Sequence[Entities] | None = None
         self.moving = set().union(*(b.moving for b in self._vectors))
         if terms.linear:
@@ -218,15 +216,15 @@ class GridAssembler:
         found = {id(m): m for form in forms for m in facet_moduli(form)}
         return list(found.values())
 
-    def _linear_forms(self, forms) -> dict[int, _Block]:
+    def _linear_forms(self, forms) -> dict[int, _CompiledForm]:
         return {
-            k: _Block(form, self._spaces[k].grid, [self._spaces[k]])
+            k: _CompiledForm(form, [self._spaces[k]])
             for k, form in enumerate(forms)
             if form is not None
         }
 
     @property
-    def _vectors(self) -> list[_Block]:
+    def _vectors(self) -> list[_CompiledForm]:
         return [*self._external.values(), *self._internal.values()]
 
     @property
@@ -246,18 +244,18 @@ class GridAssembler:
         """Blocks over facets between splines; empty before the first tangent."""
         return [b for b in (self._jacobian or {}).values() if isinstance(b, FacetBlock)]
 
-    def _blocks(self) -> dict[tuple[int, int], _Block | FacetBlock]:
+    def _blocks(self) -> dict[tuple[int, int], _CompiledForm | FacetBlock]:
         if self._jacobian is None:
             self._jacobian = {}
             for i, row in enumerate(self.terms.jacobian):
                 for j, form in enumerate(row):
                     if form is None:
                         continue
-                    if i == j and are_alike(form, self._spaces[i]):
+                    if i == j and uses_facet_classes(form, self._spaces[i]):
                         self._jacobian[i, j] = FacetBlock(form, self._spaces[i])
                         continue
                     spaces = [self._spaces[i], self._spaces[j]]
-                    self._jacobian[i, j] = _Block(form, spaces[0].grid, spaces)
+                    self._jacobian[i, j] = _CompiledForm(form, spaces)
         return self._jacobian
 
     def attach(self, fields: Sequence[ActiveField]) -> None:
@@ -339,7 +337,7 @@ class GridAssembler:
         """
         self._add(self._internal, fields, out)
 
-    def _add(self, forms: dict[int, _Block], fields, out: Sequence[Array]) -> None:
+    def _add(self, forms: dict[int, _CompiledForm], fields, out: Sequence[Array]) -> None:
         for k, block in forms.items():
             V, T = self._spaces[k].function_space, fields[k].to_grid
             nodes = V.dofmap.index_map

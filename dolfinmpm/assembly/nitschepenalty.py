@@ -21,14 +21,14 @@ import scipy
 from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import StateError, raise_together
-from dolfinmpm.assembly.facetpairs import isotropic
+from dolfinmpm.assembly.facetpenalties import isotropic
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, Slope, add_blocks, add_stiffness
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import pushed_forward
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 
 __all__ = ["trace_constants"]
 

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform import stages
-from dolfinmpm.assembly.functions import function_values
+from dolfinmpm.assembly.functionvalues import function_values
 from dolfinmpm.assembly.stencilsums import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.cellmeans import add_outer
+from dolfinmpm.cut.activation import ActiveRegion
+from dolfinmpm.cut.cellcouplings import add_outer
 from dolfinmpm.cut.facetmoduli import isotropic_moduli
-from dolfinmpm.cut.participants import ActiveRegion
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator, if_kept
 from dolfinmpm.forms.pointterms import PointTerms
@@ -76,9 +76,9 @@ class Region:
         self._kept: dict[int, Array] = {}
         self._known: set[int] = set()
         self._data = dict(shared)
-        for k, (function, gradient) in enumerate(terms.slots.functions):
+        for k, (function, gradient) in enumerate(terms.placeholders.functions):
             self._data["function", k] = function_values(function, gradient, points)
-        for key in terms.slots.sources.values():
+        for key in terms.placeholders.sources.values():
             if key[0] == "tagged":
                 self._data[key] = np.isin(points["tag"], key[1]).astype(float)
         self.update_constants()
@@ -86,7 +86,7 @@ class Region:
     def update_constants(self) -> None:
         """Read the form's constants again."""
         self._known.clear()
-        for k, constant in enumerate(self.terms.slots.constants):
+        for k, constant in enumerate(self.terms.placeholders.constants):
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
     def prepare(self) -> None:

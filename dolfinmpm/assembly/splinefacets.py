@@ -8,22 +8,24 @@ degree 1. On a grid of equal cells they have one class per direction.
 
 from __future__ import annotations
 
-import numba
+from dataclasses import dataclass, field
+from typing import ClassVar
+
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm.assembly.facetpairs import INTERVALS, by_ratio, lattice_pair
-from dolfinmpm.assembly.facetplaces import FacetPlace
+from dolfinmpm.assembly.facetcouplings import Couplings, couplings_of, facet_patch
+from dolfinmpm.assembly.facetpenalties import INTERVALS, by_ratio, lattice_pair
 from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
+from dolfinmpm.assembly.latticefacets import LatticeFacet
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
-from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.grid.lattice import lattice_of
 
-__all__ = ["FacetBlock", "are_alike"]
+__all__ = ["FacetBlock", "uses_facet_classes"]
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -59,7 +61,7 @@ def _kinds(line: Array, degree: int) -> tuple[Ints, Ints]:
     return number(2 * reach + 1), number(2 * reach + 2)
 
 
-def are_alike(form: ufl.Form, space: Space) -> bool:
+def uses_facet_classes(form: ufl.Form, space: Space) -> bool:
     """Whether `FacetBlock` integrates a form: by classes of facets, or facet by facet.
 
     It does so if the facets have few classes, or if FFCx would take too long. The form must be
@@ -88,87 +90,52 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
     return few or bool(facet_moduli(form)) or basis.degree + len(kinds) > 4
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _collect(low, direction, table, table_shape, macro, nodes, count):
-    """Write the nodes around every facet and count the facets of each node.
+@dataclass
+class _KeptTensors:
+    """Values that hold as long as the form's constants and the grid's lines.
 
-    Returns whether all nodes are known.
+    Attributes:
+        constants: Values of the form's constants; None before the first matrix.
+        tensors: Element tensors, by class of facets.
+        penalties: Penalties of adaptive moduli for M = 1, by class of facets and ratio of moduli.
     """
-    gdim = low.shape[1]
-    known = True
-    for f in range(low.shape[0]):
-        for a in range(nodes.shape[1]):
-            at = 0
-            for d in range(gdim):
-                at = at * table_shape[d] + low[f, d] + macro[direction[f], a, d]
-            nodes[f, a] = table[at]
-            known = known and table[at] >= 0
-            count[table[at]] += 1
-    return known
+
+    constants: Array | None = None
+    tensors: dict[int, Array] = field(default_factory=dict)
+    penalties: dict[int, Array] = field(default_factory=dict)
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _turn(nodes, place, start, facet, position):
-    """Write the facets of every touched node, and the node's position in each facet's nodes."""
-    fill = start[:-1].copy()
-    for f in range(nodes.shape[0]):
-        for a in range(nodes.shape[1]):
-            row = place[nodes[f, a]]
-            facet[fill[row]], position[fill[row]] = f, a
-            fill[row] += 1
+@dataclass(frozen=True)
+class _Facets:
+    """Facets of the integration.
 
+    Attributes:
+        selected: Which ghost facets they are, see `_first_parts`.
+        examples: One facet of each class, by the number of the class.
+        kind: Position of each facet's class in `examples`.
+        couplings: Entries of the matrix.
+    """
 
-@numba.njit(cache=True, error_model="numpy")
-def _couple(nodes, direction, start, facet, position, slot, seen, begin, columns, slots):
-    """Write the nodes coupled to each touched node; only count them if the arrays are empty."""
-    seen[:] = -1
-    total = 0
-    for row in range(start.size - 1):
-        for e in range(start[row], start[row + 1]):
-            f = facet[e]
-            for b in range(nodes.shape[1]):
-                s = slot[direction[f], position[e], b]
-                if seen[s] != row:
-                    seen[s] = row
-                    if columns.size:
-                        columns[total], slots[total] = nodes[f, b], s
-                    total += 1
-        begin[row + 1] = total
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _add(kind, direction, start, facet, position, slot, tensors, scale, begin, slots, sums, out):
-    """Sum the facets' scaled tensors between every touched node and its coupled nodes."""
-    m, n = tensors.shape[3], tensors.shape[4]
-    sums[:] = 0.0
-    for row in range(start.size - 1):
-        for e in range(start[row], start[row + 1]):
-            f, a = facet[e], position[e]
-            for part in range(scale.shape[1]):
-                factor = scale[f, part]
-                for b in range(m):
-                    s = slot[direction[f], a, b]
-                    for q in range(n):
-                        sums[s, q] += factor * tensors[kind[f], part, a, b, q]
-        for at in range(begin[row], begin[row + 1]):
-            for q in range(n):
-                out[at, q] = sums[slots[at], q]
-                sums[slots[at], q] = 0.0
+    selected: slice | npt.NDArray[np.bool_]
+    examples: dict[int, LatticeFacet]
+    kind: Ints
+    couplings: Couplings
 
 
 class FacetBlock:
     """A bilinear form over ghost facets, between splines or linear functions.
 
     Args:
-        form: The form; `are_alike` must be true for it.
+        form: The form; `uses_facet_classes` must be true for it.
         space: Space of both arguments.
 
     Attributes:
-        rows, columns: Spline nodes of each block, in the basis's local numbering.
-        moving: Subdomain ids of the facets in the form.
-        constants, coefficients: Data of the form. The only coefficients are moduli of facets.
+        constants: Constants of the form.
         moduli: Moduli of facets in the form.
     """
+
+    # subdomain ids of the facets in the form
+    moving: ClassVar[set[int]] = {GHOST_FACETS}
 
     def __init__(self, form: ufl.Form, space: Space):
         assert isinstance(space.basis, LatticeBasis)
@@ -177,38 +144,43 @@ class FacetBlock:
         self._tensor_of = FacetTensors(form, basis.degree, space.components)
         self.constants: list[fem.Constant] = form.constants()
         self.moduli = facet_moduli(form)
-        self.coefficients: list[fem.Function] = list(self.moduli)
-        # one tensor without moduli, and one tensor per modulus
-        self._parts = [None, *self.moduli]
-        self.moving = {GHOST_FACETS}
         self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
-        # nodes around a facet by its direction, relative to the first node of its lower cell
-        gdim, p = space.grid.geometry.dim, basis.degree
-        self._shapes = [tuple(p + 1 + (d == e) for e in range(gdim)) for d in range(gdim)]
-        macro = [list(np.ndindex(*shape)) for shape in self._shapes]
-        self._macro = np.array(macro, np.int32)
-        # position of node b relative to node a, as one number
-        strides = (2 * p + 3) ** np.arange(gdim)[::-1]
-        apart = self._macro[:, None, :, :] - self._macro[:, :, None, :] + p + 1
-        self._slot = (apart @ strides).astype(np.int32)
-        self._slots = (2 * p + 3) ** gdim
-        self._tensors: dict[int, Array] = {}
-        # penalties of adaptive moduli for M = 1, by class of facets and ratio of moduli
-        self._penalties: dict[int, Array] = {}
-        self._attached = False
-        self._rows: slice | npt.NDArray[np.bool_] = slice(None)
-        self._values: Array | None = None
+        self._patch = facet_patch(space.grid.geometry.dim, basis.degree)
+        self._kept = _KeptTensors()
+        self._facets: _Facets | None = None
+
+    @property
+    def coefficients(self) -> list[fem.Function]:
+        """Coefficients of the form, which are its moduli of facets."""
+        return list(self.moduli)
+
+    @property
+    def facets(self) -> _Facets:
+        """The facets of the integration."""
+        assert self._facets is not None
+        return self._facets
+
+    @property
+    def rows(self) -> Ints:
+        """Spline nodes of the rows of the blocks."""
+        return self.facets.couplings.rows
+
+    @property
+    def columns(self) -> Ints:
+        """Spline nodes of the columns of the blocks."""
+        return self.facets.couplings.columns
 
     def renew(self) -> None:
         """Forget the facets of the integration."""
-        self._attached = False
+        self._facets = None
 
     def regrid(self) -> None:
         """Forget values that belong to the old lines of the grid."""
         basis = self._space.basis
         assert isinstance(basis, LatticeBasis)
         self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
-        self._tensors, self._penalties, self._attached = {}, {}, False
+        self._kept = _KeptTensors(self._kept.constants)
+        self._facets = None
 
     def attach(self, entities: dict[int, Ints], basis: LatticeBasis) -> None:
         """Set the ghost facets of the integration, unless they are set already.
@@ -218,49 +190,30 @@ class FacetBlock:
                 flattened. The first cell is "+".
             basis: Basis of the space with its overlap; its numbering of nodes is used.
         """
-        if self._attached and basis is self._basis:
+        if self._facets is not None and basis is self._basis:
             return
-        self._basis, self._attached = basis, True
+        self._basis = basis
         facets = entities[GHOST_FACETS].reshape(-1, 4)
-        self._rows = self._first_parts(facets)
-        facets = np.asarray(facets[self._rows], np.int32).reshape(-1, 4)
-        halo, ijk = self._basis.halo, self._basis.lattice.cell_ijk
+        selected = self._first_parts(facets)
+        facets = np.asarray(facets[selected], np.int32).reshape(-1, 4)
+        ijk, lines = basis.lattice.cell_ijk, basis.lattice.lines
         first, second = ijk[facets[:, 0]], ijk[facets[:, 2]]
-        low = np.minimum(first, second)
-        self._direction = np.argmax(first != second, axis=1).astype(np.int32)
-        code = 2 * self._direction.astype(np.int64) + np.any(first > second, axis=1)
+        low, swapped = np.minimum(first, second), np.any(first > second, axis=1)
+        direction = np.argmax(first != second, axis=1).astype(np.int32)
+        code = 2 * direction.astype(np.int64) + swapped
         for d, (cells, pairs) in enumerate(self._kinds):
-            across = self._direction == d
+            across = direction == d
             kind = cells[low[:, d]]
             kind[across] = pairs[low[across, d]]
             code = code * (1 + max(cells.max(), pairs.max(initial=0))) + kind
-        self._codes, chosen, kind = np.unique(code, return_index=True, return_inverse=True)
-        self._kind = kind.ravel().astype(np.int32)
-        lines, swapped = self._basis.lattice.lines, np.any(first > second, axis=1)
-        self._chosen = [
-            FacetPlace(lines, tuple(low[f].tolist()), int(self._direction[f]), bool(swapped[f]))
-            for f in chosen
+        codes, examples, kind = np.unique(code, return_index=True, return_inverse=True)
+        places = [
+            LatticeFacet(lines, tuple(low[f].tolist()), int(direction[f]), bool(swapped[f]))
+            for f in examples
         ]
-        nodes = np.empty((len(facets), self._macro.shape[1]), np.int32)
-        count = np.zeros(self._basis.nodes.size, np.int64)
-        shape = np.array(halo.node_table.shape, np.int64)
-        table = low - halo.origin, self._direction, halo.node_table.ravel(), shape
-        known = _collect(*table, self._macro, nodes, count)
-        assert known
-        touched = np.flatnonzero(count)
-        start = running_sum(count[touched], np.int64)
-        place = np.empty(count.size, np.int32)
-        place[touched] = np.arange(touched.size, dtype=np.int32)
-        facet, position = np.empty(start[-1], np.int32), np.empty(start[-1], np.int32)
-        _turn(nodes, place, start, facet, position)
-        self._near = start, facet, position, self._slot
-        self._begin = np.zeros(touched.size + 1, np.int64)
-        graph = nodes, self._direction, *self._near, np.empty(self._slots, np.int64), self._begin
-        self.columns = self._slot_of = np.empty(0, np.int32)
-        _couple(*graph, self.columns, self._slot_of)
-        self.columns, self._slot_of = np.empty((2, self._begin[-1]), np.int32)
-        _couple(*graph, self.columns, self._slot_of)
-        self.rows = np.repeat(touched.astype(np.int32), np.diff(self._begin))
+        couplings = couplings_of(self._patch, basis, low, direction)
+        kind = kind.ravel().astype(np.int32)
+        self._facets = _Facets(selected, dict(zip(codes.tolist(), places)), kind, couplings)
 
     def _first_parts(self, facets: Ints) -> slice | npt.NDArray[np.bool_]:
         """Facets to integrate: for a coarser lattice, the part at each coarse facet's lower corner.
@@ -278,32 +231,29 @@ class FacetBlock:
 
     def matrix(self) -> Array:
         """This rank's share of the matrix, one block per entry of `rows` and `columns`."""
+        facets, kept = self.facets, self._kept
         values = np.concatenate([np.empty(0), *(np.ravel(c.value) for c in self.constants)])
-        if self._values is None or not np.array_equal(values, self._values):
-            self._tensors, self._penalties = {}, {}
-            self._values = values
-        for code, place in zip(self._codes, self._chosen):
-            if code not in self._tensors:
-                self._tensors[code] = self._tensor(place)
-        c, m = self._space.components, self._macro.shape[1]
-        tensors = [self._tensors[code] for code in self._codes]
+        if kept.constants is None or not np.array_equal(values, kept.constants):
+            self._kept = kept = _KeptTensors(values)
+        for code, place in facets.examples.items():
+            if code not in kept.tensors:
+                kept.tensors[code] = self._tensor(place)
+        c, m, parts = self._space.components, self._patch.nodes.shape[1], 1 + len(self.moduli)
+        tensors = [kept.tensors[code] for code in facets.examples]
         single = all(t.shape[3] == 1 for t in tensors)
         if not single:
             tensors = [t * np.eye(c).ravel() if t.shape[3] == 1 else t for t in tensors]
-        n = 1 if single else c**2
-        stacked = np.array(tensors).reshape(-1, len(self._parts), m, m, n)
-        scale = np.ones((self._kind.size, len(self._parts)))
+        stacked = np.array(tensors).reshape(-1, parts, m, m, 1 if single else c**2)
+        scale: Array = np.ones((facets.kind.size, parts))
         for k, modulus in enumerate(self.moduli):
             modulus.values = self._scaled(k)
             scale[:, 1 + k] = modulus.values
         if self.moduli and not stacked[:, 0].any():
             stacked, scale = np.ascontiguousarray(stacked[:, 1:]), scale[:, 1:].copy()
-        sums, out = np.empty((self._slots, n)), np.empty((self.rows.size, n))
-        near = self._kind, self._direction, *self._near
-        _add(*near, stacked, scale, self._begin, self._slot_of, sums, out)
+        out = facets.couplings.sums(facets.kind, stacked, scale)
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
 
-    def _tensor(self, place: FacetPlace) -> Array:
+    def _tensor(self, place: LatticeFacet) -> Array:
         """Tensors of a facet: without moduli, and per modulus, shape (1 + moduli, m, m, n)."""
         base = self._tensor_of(place)
         slopes = [self._tensor_of(place, one) for one in self.moduli]
@@ -313,49 +263,51 @@ class FacetBlock:
 
     def _scaled(self, k: int) -> Array:
         """Values of a modulus at the facets."""
-        modulus = self.moduli[k]
-        M, G = modulus.moduli[self._rows].T
+        modulus, facets, kept = self.moduli[k], self.facets, self._kept
+        M, G = modulus.moduli[facets.selected].T
         if modulus.target is None:
             return M.copy()
         degree = self._basis.degree
-        for code in self._codes:
-            self._penalties.setdefault(code, np.full((len(self.moduli), INTERVALS + 1), np.nan))
-        kept = np.array([self._penalties[code][k] for code in self._codes])
-        kept = kept.reshape(-1, INTERVALS + 1)
+        for code in facets.examples:
+            kept.penalties.setdefault(code, np.full((len(self.moduli), INTERVALS + 1), np.nan))
+        known = np.array([kept.penalties[code][k] for code in facets.examples])
+        known = known.reshape(-1, INTERVALS + 1)
 
-        def pair_of(code: int, place: FacetPlace):
-            return lambda: lattice_pair(place, degree, self._tensors[code][1 + k])
+        def pair_of(code: int, place: LatticeFacet):
+            return lambda: lattice_pair(place, degree, kept.tensors[code][1 + k])
 
-        pairs = [pair_of(*both) for both in zip(self._codes, self._chosen)]
+        pairs = [pair_of(*both) for both in facets.examples.items()]
         ratios = np.divide(G, M, out=np.zeros_like(M), where=M > 0)
-        values = M * by_ratio(kept, ratios, self._kind, pairs, modulus.target)
-        for code, row in zip(self._codes, kept):
-            self._penalties[code][k] = row
+        values = M * by_ratio(known, ratios, facets.kind, pairs, modulus.target)
+        for code, row in zip(facets.examples, known):
+            kept.penalties[code][k] = row
         return values
 
     def state(self) -> dict[str, npt.NDArray]:
         """The tensors kept: rounding differs between the facets that a class was integrated on."""
-        if self._values is None:
+        kept = self._kept
+        if kept.constants is None:
             return {}
-        tensors, known = list(self._tensors.values()), list(self._penalties.values())
+        tensors, known = list(kept.tensors.values()), list(kept.penalties.values())
         return {
-            "constants": self._values,
-            "codes": np.array(list(self._tensors), np.int64),
+            "constants": kept.constants,
+            "codes": np.array(list(kept.tensors), np.int64),
             "shapes": np.array([t.shape for t in tensors], np.int64).reshape(-1, 4),
             "tensors": np.concatenate([np.empty(0), *(t.ravel() for t in tensors)]),
-            "penalized": np.array(list(self._penalties), np.int64),
+            "penalized": np.array(list(kept.penalties), np.int64),
             "penalties": np.concatenate([np.empty(0), *(p.ravel() for p in known)]),
         }
 
-    def set_state(self, kept: dict[str, npt.NDArray]) -> None:
+    def set_state(self, state: dict[str, npt.NDArray]) -> None:
         """Keep the tensors that `state` returned, and no others."""
-        self._values = kept.get("constants")
-        self._tensors, self._penalties, start = {}, {}, 0
-        for code, shape in zip(kept.get("codes", ()), kept.get("shapes", ())):
+        self._kept = kept = _KeptTensors(state.get("constants"))
+        start = 0
+        for code, shape in zip(state.get("codes", ()), state.get("shapes", ())):
             end = start + int(np.prod(shape))
-            self._tensors[code] = kept["tensors"][start:end].reshape(shape)
+            kept.tensors[int(code)] = state["tensors"][start:end].reshape(shape)
             start = end
-        codes = kept.get("penalized", ())
+        codes = state.get("penalized", ())
         if len(codes):
             shape = len(codes), len(self.moduli), INTERVALS + 1
-            self._penalties = dict(zip(codes, kept["penalties"].reshape(shape).copy()))
+            penalties = state["penalties"].reshape(shape).copy()
+            kept.penalties.update(zip((int(code) for code in codes), penalties))

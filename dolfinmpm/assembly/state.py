@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy.typing as npt
 
-__all__ = ["Keeps", "Local", "OfCells", "gathered", "given_back"]
+__all__ = ["HasState", "Local", "OfCells", "gathered", "given_back"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class OfCells:
     values: npt.NDArray[Any]
 
 
-class Keeps(Protocol):
+class HasState(Protocol):
     """What keeps values from step to step."""
 
     def state(self) -> dict[str, Any]:
@@ -39,12 +39,12 @@ class Keeps(Protocol):
         """Take what `state` returned. Collective."""
 
 
-def gathered(parts: Iterable[tuple[str, Keeps]]) -> dict[str, Any]:
+def gathered(parts: Iterable[tuple[str, HasState]]) -> dict[str, Any]:
     """The states of some parts in one, with the name of each part before those of its values."""
     return {f"{part}: {k}": v for part, one in parts for k, v in one.state().items()}
 
 
-def given_back(parts: Iterable[tuple[str, Keeps]], values: Mapping[str, Any]) -> None:
+def given_back(parts: Iterable[tuple[str, HasState]], values: Mapping[str, Any]) -> None:
     """Give each part what `gathered` had of it. Collective."""
     for part, one in parts:
         start = f"{part}: "

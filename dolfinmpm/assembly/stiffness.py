@@ -62,12 +62,12 @@ def _add_three(ns, offset, m, at, N, dN, t_at, places):
 
 @functools.cache
 def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
-    """The loop for a field by itself, with nc components and ns slots per component.
+    """The loop for a field by itself, with nc components and ns placeholders per component.
 
-    Slots are gradients, or values and gradients. The loop goes through the nodes. For each node it
-    goes through the node's points, so that the node's rows are summed in the cache and added to the
-    matrix once. For a point and a node a it computes t_r,ik = Σ_s φ_as T_is,kr. For each node b it
-    adds Σ_r φ_br t_r. All pairs ik of components are side by side in registers.
+    Placeholders are gradients, or values and gradients. The loop goes through the nodes. For each
+    node it goes through the node's points, so that the node's rows are summed in the cache and
+    added to the matrix once. For a point and a node a it computes t_r,ik = Σ_s φ_as T_is,kr. For
+    each node b it adds Σ_r φ_br t_r. All pairs ik of components are side by side in registers.
     """
     offset = 0 if gradient_only else 1
     width = nc * ns

@@ -16,11 +16,11 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.body.location import Destinations
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation, ActiveField, Coupling, Participants
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.forms.declarations import Declaration
 
@@ -194,7 +194,7 @@ class Term:
         """Act in steps in time: in the mean over a step, or with None at its start or end.
 
         Args:
-            means: See `dolfinmpm.contact.means`.
+            means: See `dolfinmpm.contact.meanforces`.
         """
 
     def place(self) -> None:
@@ -210,7 +210,7 @@ class Term:
         """
         return {}
 
-    def couple(self, here: Participants) -> list[Coupling]:
+    def couple(self, here: ActiveDomain) -> list[Coupling]:
         """Which nodes it couples beside those that the points couple. Collective."""
         return []
 

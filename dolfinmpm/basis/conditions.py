@@ -13,16 +13,16 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import at_time, choice, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import at_time, choice, number, shown, truth, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     ParameterError,
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.positions import ask, choose
+from dolfinmpm.grid.userfunctions import call_function, choose
 
 __all__ = [
     "Condition",
@@ -183,7 +183,7 @@ def _nodes(
     return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
 
 
-@together(own=("increment", "value"))
+@collective(local=("increment", "value"))
 def prescribed(
     space: Space,
     where: Where,
@@ -202,7 +202,7 @@ def prescribed(
         where: A side, by its axis, "x-", "x+", "y-", ..., or by its name: "left", "right" (first
             axis), "bottom", "top" (last axis), "front", "back" (second axis in 3D); or a function
             of node positions (m), shape (gdim, n), that returns n booleans; see
-            `dolfinmpm.grid.positions`.
+            `dolfinmpm.grid.userfunctions`.
         component: Component of the field.
         increment: Increment per step (m for a displacement), of a field that moves points: a
             number, a scalar DOLFINx constant, or a function of node positions like `where` that
@@ -217,6 +217,16 @@ def prescribed(
         ParameterError: The space, the side, the component, the increment or the value is not
             what it may be, both are given, or no node is there. Problems refuse an increment of a
             field that is carried, and a value of a field that moves points.
+
+    Two millimetres down in every step:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> V = mpm.Space(grid, "gimp")
+    >>> (down,) = mpm.prescribed(V, "top", 1, increment=-0.002)
+    >>> down.where, down.component, float(down.value)
+    ('top', 1, -0.002)
     """
     _check_space(space)
     truth("follows", follows)
@@ -245,7 +255,7 @@ def prescribed(
     return [Condition(space, nodes, int(component), checked, name, None, kind, place)]
 
 
-@together
+@collective
 def moving(
     space: Space, where: Where, component: int, *, velocity: float | Callable[[float], float]
 ) -> list[Condition]:
@@ -259,6 +269,14 @@ def moving(
 
     Raises:
         ParameterError: The velocity is no number; or see `prescribed`.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> V = mpm.Space(grid, "gimp")
+    >>> (push,) = mpm.moving(V, "left", 0, velocity=lambda t: min(t, 0.1))
+    >>> push.where, push.velocity(0.05)
+    ('left', 0.05)
     """
     given = velocity if callable(velocity) else number("velocity", velocity, unit="m/s")
 
@@ -288,7 +306,7 @@ def _checked(space: Space, nodes, what: str, value: Any) -> Any:
     comm = space.grid.comm
     if callable(value):
         at = node_coordinates(space)[nodes]
-        given = call_together(comm, lambda: ask(what, value, at))
+        given = call_together(comm, lambda: call_function(what, value, at))
     elif np.ndim(value) == 0:
         return np.asarray(number(what, value))
     else:
@@ -315,7 +333,7 @@ def _one_per_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
     return given
 
 
-@together
+@collective
 def fixed(space: Space, *where: Where) -> list[Condition]:
     """Set the increments of all components to zero at some places. Collective.
 
@@ -325,6 +343,17 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
 
     Raises:
         ParameterError: The space or a place is not valid; see `prescribed`.
+
+    Sides, or any place:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> V = mpm.Space(grid, "gimp")
+    >>> [(c.where, c.component) for c in mpm.fixed(V, "bottom")]
+    [('bottom', 0), ('bottom', 1)]
+    >>> len(mpm.fixed(V, lambda x: x[0] > 3.5))
+    2
     """
     _check_space(space)
     _check_places("fixed", where)
@@ -336,7 +365,7 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
     ]
 
 
-@together
+@collective
 def rollers(space: Space, *sides: str) -> list[Condition]:
     """Constrain the displacement normal to each side, and leave it free along the side. Collective.
 
@@ -347,6 +376,13 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
     Raises:
         ParameterError: A side is not known, or the field is no vector of
             the dimension of space.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> V = mpm.Space(grid, "gimp")
+    >>> [(c.where, c.component) for c in mpm.rollers(V, "left", "right", "bottom")]
+    [('left', 0), ('right', 0), ('bottom', 1)]
     """
     _check_space(space)
     gdim = space.grid.geometry.dim

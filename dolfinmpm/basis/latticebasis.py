@@ -19,7 +19,7 @@ from dolfinmpm.basis.bspline import functions_of, greville
 from dolfinmpm.basis.latticeloops import group_keys, largest_reach, overlaps, stencil_loop
 from dolfinmpm.basis.lineweights import SNAP
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
-from dolfinmpm.grid.halo import LatticeHalo, build_halo
+from dolfinmpm.grid.halo import LatticeHalo, Numbering, build_halo
 from dolfinmpm.grid.lattice import Lattice, lattice_of
 from dolfinmpm.grid.partition import Partition
 
@@ -55,13 +55,11 @@ class LatticeBasis:
             lattice is the grid's `Lattice.coarsened`. "Cells" are cells of the lattice.
 
     Attributes:
-        nodes, cells: Numberings of the nodes and cells that this rank knows.
         partition: Which rank computes a cell; None if the owner in DOLFINx's mesh computes it.
         grid_nodes: Numbers in `nodes` of the nodes of the basis without a partition; None where
             the numbers are the same.
         grid_cells: For each cell of DOLFINx's mesh, the number in `cells` of the cell that
             contains it; None where the numbers are the same.
-        continuity: Highest derivative that is continuous across facets.
     """
 
     def __init__(
@@ -79,14 +77,29 @@ class LatticeBasis:
         self.lattice = lattice
         self.degree = degree
         self.averaged = averaged
-        self.continuity = degree - 1
-        self._node_map = node_map
-        self._node_ijk = node_ijk
+        # index map and lattice positions of the nodes without a partition
+        self._node_numbering = node_map, node_ijk
         self.partition: Partition | None = None
-        self._lines = np.concatenate(lattice.lines)
-        self._line_start = running_sum(np.array([x.size for x in lattice.lines]), np.int64)
+        # lines of all directions, one after the other, and the start of each direction
+        start = running_sum(np.array([x.size for x in lattice.lines]), np.int64)
+        self._lines = np.concatenate(lattice.lines), start
         self._grown: dict[tuple[Partition | None, int], LatticeBasis] = {}
         self._surround(self._least_layers)
+
+    @property
+    def nodes(self) -> Numbering:
+        """Numbering of the nodes that this rank knows."""
+        return self.halo.nodes
+
+    @property
+    def cells(self) -> Numbering:
+        """Numbering of the cells that this rank knows."""
+        return self.halo.cells
+
+    @property
+    def continuity(self) -> int:
+        """Highest derivative that is continuous across facets."""
+        return self.degree - 1
 
     @property
     def _least_layers(self) -> int:
@@ -107,7 +120,7 @@ class LatticeBasis:
     def _surround(self, layers: int) -> None:
         grid, shape, on_grid = self.grid, self.lattice.shape, self.lattice.cell_ijk
         cells = grid.topology.index_map(grid.topology.dim), on_grid
-        nodes = self._node_map, self._node_ijk
+        nodes, node_ijk = self._node_numbering, self._node_numbering[1]
         around = None
         if self.partition is not None or self.coarsen > 1:
             own = self.own_cells()
@@ -120,8 +133,6 @@ class LatticeBasis:
         self.halo: LatticeHalo = build_halo(
             grid.comm, shape, self.degree, *cells, *nodes, layers, on_grid, around
         )
-        self.nodes = self.halo.nodes
-        self.cells = self.halo.cells
         self._node_x: npt.NDArray[np.float64] | None = None
         self._corners: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
         self.grid_cells: npt.NDArray[np.int32] | None = None
@@ -130,7 +141,7 @@ class LatticeBasis:
         if self.partition is not None or self.coarsen > 1:
             self.grid_cells = self.halo.cell_table[tuple((on_grid - origin).T)]
         if self.partition is not None:
-            self.grid_nodes = self.halo.node_table[tuple((self._node_ijk - origin).T)]
+            self.grid_nodes = self.halo.node_table[tuple((node_ijk - origin).T)]
 
     def grown(self, layers: int, partition: Partition | None = None) -> LatticeBasis:
         """The basis that knows all nodes and cells within some layers of own cells. Collective.
@@ -167,7 +178,7 @@ class LatticeBasis:
         """
         lattice = lattice.coarsened(self.coarsen)
         self.lattice = lattice
-        self._lines = np.concatenate(lattice.lines)
+        self._lines = np.concatenate(lattice.lines), self._lines[1]
         self._node_x = self._corners = None
         # copies with more overlap must be built again
         self._grown = {}
@@ -203,7 +214,7 @@ class LatticeBasis:
         """
         low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
         lattice, origin = self.lattice, self.halo.origin
-        overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
+        overlaps(x, half, *self._lines, lattice.uniform, origin, low, count)
         return low, count
 
     def _on_lines(self, x, low) -> npt.NDArray[np.bool_]:
@@ -268,7 +279,7 @@ class LatticeBasis:
             PointsOutsideGridError: A domain spans more than 60 cells, the room in stencils.
         """
         layers, most, p = largest_reach(
-            where.x, where.half, self.averaged, self._lines, self._line_start, self.lattice.uniform
+            where.x, where.half, self.averaged, *self._lines, self.lattice.uniform
         )
         error = None
         if most > 60:
@@ -332,7 +343,7 @@ class LatticeBasis:
             cell_start, np.empty(cell_start[-1], np.int32),
         )  # fmt: skip
         known = stencil_loop(self.degree == 1, axisymmetric)(
-            x, half, self._lines, self._line_start, halo.origin,
+            x, half, *self._lines, halo.origin,
             halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
             halo.cell_table.ravel(), cell_shape,
             order, groups, low, count, node_start, s.nodes, value_start, s.N, s.dN,

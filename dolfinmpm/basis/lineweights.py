@@ -134,7 +134,7 @@ def line_shares(line, uniform, degree, first, count, x, half, dS, shares, room, 
     """Weights of a point for averages over cells: splines of one degree less, in one direction.
 
     For linear functions the weights are the shares of the point's domain in the cells. See
-    `dolfinmpm.cut.cellmeans` for the averages.
+    `dolfinmpm.cut.cellaverages` for the averages.
 
     Args:
         line, uniform, degree, first, count, x, half: See `line_weights`.

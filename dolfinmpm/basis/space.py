@@ -12,14 +12,13 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import as_tags, choice, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import as_tags, choice, shown, truth, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.latticebasis import first_parts
-from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.lattice import (
     Lattice,
     cell_size,
@@ -28,6 +27,7 @@ from dolfinmpm.grid.lattice import (
     once_per_grid,
     require_lattice,
 )
+from dolfinmpm.grid.serialnumbers import next_number
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -208,11 +208,11 @@ class Space:
             are exact sums of finer ones. A pressure and a displacement on such nested grids are a
             stable pair. Ghost facets, fill fractions and roots are those of the coarse cells.
             Needs a rectangular grid, graded or not.
-        domains: Growth of the points' domains if the basis averages. "stretch" stretches them by
+        domains: Growth of the points' domains if the basis averages. With linear functions,
+            corners of "volume" and "fixed" domains touch rigid bodies. "stretch" stretches them by
             diag U with U = √(FᵀF), so that they go on to tile a stretched body. "volume"
             stretches them by J^(1/d). "fixed" keeps them. The last two are for flow: there F
-            grows without bound and no longer tells the shape of a point's volume. With linear
-            functions they say where points touch rigid bodies in quasi-static steps.
+            grows without bound and no longer tells the shape of a point's volume.
         tag: Tags of the points of the field, one or several; None means all points. A field with
             tags exists only where its points are. It has its own active cells, ghost facets and
             constraints. Several displacement fields that divide the points by tags each move
@@ -240,7 +240,7 @@ class Space:
     ()
     """
 
-    @together
+    @collective
     def __init__(
         self,
         grid: Mesh,
@@ -281,7 +281,7 @@ class Space:
         self.increment = fem.Function(self.function_space, name="increment")
         self.increment._dolfinmpm_space = self
         self.test = ufl.TestFunction(self.function_space)
-        self.number = next_on(grid, "spaces")
+        self.number = next_number(grid, "spaces")
         # points, DOLFINx's assemblers and the solver share one numbering of the nodes
         if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")

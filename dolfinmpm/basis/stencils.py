@@ -18,12 +18,12 @@ __all__ = [
     "Placement",
     "Stencils",
     "add_weighted",
+    "concatenated",
     "gather",
     "joined",
     "pushed_forward",
     "selected",
     "spread",
-    "together",
 ]
 
 
@@ -53,7 +53,7 @@ class Placement:
         )
 
 
-def together(placements: Sequence[Placement]) -> Placement:
+def concatenated(placements: Sequence[Placement]) -> Placement:
     """Several sets of points joined in their order; one set alone is returned as it is."""
     if len(placements) == 1:
         return placements[0]

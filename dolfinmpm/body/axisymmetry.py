@@ -1,19 +1,19 @@
-"""Bodies of revolution: points go around the axis x[0] = 0, and gradients have a hoop term.
+"""Axisymmetric bodies: points go around the axis x[0] = 0, and gradients have a hoop term.
 
-The coordinates are the radius r = x[0] and the height z = x[1]. A displacement (u_r, u_z) that is
-the same all around strains a ring by u_r/r around itself, so that its gradient is the tensor
+The coordinates are the radius r = x[0] and the height z = x[1]. An axisymmetric displacement
+(u_r, u_z) has the hoop strain u_r/r. In the axes r, z, θ its gradient is
 
-    ∇u = [[∂_r u_r, ∂_z u_r, 0], [∂_r u_z, ∂_z u_z, 0], [0, 0, u_r/r]]
+    ∇u = [[∂_r u_r, ∂_z u_r, 0], [∂_r u_z, ∂_z u_z, 0], [0, 0, u_r/r]].
 
-in the axes r, z, θ. With that in the place of the plane gradient all kinematics hold as they are in
-three dimensions; r is that of the point at the start of the step, as gradients are by positions
-then. So the hoop component of F, a product of 1 + u_r/r over the steps, is the ratio of the
-present radius of the ring to its first one. Functions that are averaged over domains are averaged
-around the axis: u_r/r has the mean of u_r over the section of the domain by its centre's radius,
-and slopes along the radius are weighted with it (`dolfinmpm.basis.latticebasis.ring_slopes`).
+With this gradient all kinematics are the same as in three dimensions. r is the radius at the start
+of the step, because gradients are by positions at the start of the step. The hoop component of F is
+the product of 1 + u_r/r over the steps: the ratio of the present radius to the first radius.
+Averages over domains go around the axis. For u_r/r, the mean of u_r over the section of the domain
+is divided by the radius of its centre. Slopes along the radius are weighted by the radius
+(`dolfinmpm.basis.lineweights.ring_slopes`).
 
-Amounts are those all around, 2π r times those of the section: volumes (m³), masses (kg), areas
-of faces (m²), forces (N), and energies (J).
+Volumes (m³), masses (kg), areas of faces (m²), forces (N) and energies (J) are for the whole body:
+2π r times the values of the section.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import ufl
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.body.location import bounds
 
@@ -48,15 +48,15 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-# What rounding may leave of a grid beyond the axis, by its size
+# Part of a grid beyond the axis that counts as rounding, relative to the size of the grid
 _SLACK = 1e-12
 
 
 def require_axis(grid: Mesh) -> None:
-    """Raise unless a grid can hold a body of revolution about x[0] = 0. Collective.
+    """Raise unless a grid can contain an axisymmetric body about x[0] = 0. Collective.
 
     Raises:
-        UnsupportedGridError: It is not two-dimensional, or reaches to negative radii.
+        UnsupportedGridError: The grid is not two-dimensional, or reaches to negative radii.
     """
     if grid.geometry.dim != 2:
         raise UnsupportedGridError(
@@ -87,37 +87,50 @@ def checked_radii(x: Array) -> None:
 
 
 def ring(radius, amount):
-    """Amount of a whole ring, 2π r times that of its section; exact at the section's centroid."""
+    """Amount around the axis: 2π r times the amount of a section, exact for its centroid's r."""
     return 2 * math.pi * radius * amount
 
 
 def section(points: PointTable, volume: str, x: str) -> Array:
-    """What the points have of the grid: areas of axisymmetric sections (m²), else volumes (m^d).
+    """Sizes of the points in the grid: volumes (m^d), or areas of axisymmetric sections (m²).
 
     Args:
         points: Material points.
         volume: Name of the field of volumes.
-        x: Name of the field of positions that goes with it.
+        x: Name of the field of positions for these volumes.
     """
     V = points[volume]
     return V / ring(points[x][:, 0], 1.0) if points.axisymmetric else V
 
 
 def gradient(points: MaterialPoints, w, *, radius: Expr | None = None) -> Expr:
-    """Gradient of a displacement or a test function at the points, in UFL.
+    """Gradient of a displacement or a test function at the points, for UFL.
 
-    Of shape (d, d), `ufl.grad(w)`; at axisymmetric points (3, 3), in the axes r, z, θ and with
-    the hoop term w_r/r. What is written with it in the place of `ufl.grad` holds for both. That of
-    a scalar is `ufl.grad(w)`, of shape (d,), at axisymmetric points too: it is the same all around.
+    The gradient is `ufl.grad(w)`, shape (d, d). At axisymmetric points it has the hoop term w_r/r,
+    and shape (3, 3) in the axes r, z, θ. A form with `mpm.gradient` instead of `ufl.grad` is right
+    for both. The gradient of a scalar is always `ufl.grad(w)`, shape (d,).
 
     Args:
         points: Material points.
         w: Increment or test function of a displacement, or of a scalar field.
-        radius: r in terms that are not sums over the points; that of the points by default.
+        radius: r in terms that are not sums over the points; by default the points' radius.
 
     Raises:
-        ParameterError: These are no points, or w is no field of UFL, or at axisymmetric points of
-        another shape.
+        ParameterError: `points` are no material points, w is no UFL expression, or w has another
+            shape at axisymmetric points.
+
+    At axisymmetric points it has the hoop term:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> mpm.gradient(points, V.increment).ufl_shape
+    (2, 2)
+    >>> ring = mpm.fill(grid, mpm.Box((1, 0), (4, 2)), 2, density=2000.0, axisymmetric=True)
+    >>> mpm.gradient(ring, V.increment).ufl_shape
+    (3, 3)
     """
     if not hasattr(points, "strain_dim"):
         raise ParameterError(f"points = {shown(points)} must be material points, see mpm.fill")
@@ -140,11 +153,11 @@ def gradient(points: MaterialPoints, w, *, radius: Expr | None = None) -> Expr:
 
 
 def in_section(points: MaterialPoints, F):
-    """The part of a tensor of the points within the dimensions of the grid.
+    """Components of a tensor in the plane of the grid, shape (..., gdim, gdim).
 
     Args:
         points: Material points.
-        F: The tensor, such as their deformation gradient: in UFL, or an array of shape
+        F: Tensor such as the deformation gradient: for UFL, or an array of shape
             (n, strain_dim, strain_dim).
     """
     if not points.axisymmetric:
@@ -155,15 +168,15 @@ def in_section(points: MaterialPoints, F):
 
 
 def full_gradient(points: MaterialPoints, u: Array, H: Array) -> Array:
-    """∇ũ of an increment, or a velocity, at the points, with the hoop term of axisymmetric points.
+    """Gradients of an increment or a velocity at the points, with the hoop term if axisymmetric.
 
     Args:
         points: Material points.
         u: The increment (m), shape (n, d).
-        H: Its gradient on the grid, shape (n, d, d).
+        H: Gradient of the increment on the grid, shape (n, d, d).
 
     Returns:
-        Shape (n, strain_dim, strain_dim); H itself where there is no hoop term.
+        Gradients, shape (n, strain_dim, strain_dim); H itself without a hoop term.
     """
     if not points.axisymmetric:
         return H

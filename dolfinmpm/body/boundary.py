@@ -1,9 +1,8 @@
-"""Boundaries that do not fit the grid: markers with area vectors, wherever they are in cells."""
+"""Boundaries that do not fit the grid: markers with area vectors, anywhere in the cells."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -11,80 +10,76 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
     UnsupportedGridError,
     call_together,
-    raise_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section
-from dolfinmpm.body.contours import along_segments, contour, cut_triangles
+from dolfinmpm.body.contours import along_segments, cut_triangles
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.loading import pressure_of, vector_of
-from dolfinmpm.body.markerplaces import (
+from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.markergeometry import (
+    level_set_pieces,
     put_inside,
     revolved,
     rows_of,
     segments_of,
-    simplices_of,
+    side_markers,
     triangles_of,
 )
 from dolfinmpm.body.orientation import check_outward
-from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.counts import next_on
+from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
-from dolfinmpm.grid.positions import ask
-
-if TYPE_CHECKING:
-    from dolfinmpm.body.fields import PointField
+from dolfinmpm.grid.serialnumbers import next_number
 
 __all__ = ["OWN", "Boundary"]
 
 Array = npt.NDArray[np.float64]
 
-# Deformation gradient of markers themselves, where steps need it; `F` is that of the nearest point
+# Field of the markers' own deformation gradient; the field `F` is taken from the nearest point
 OWN = "F_own"
 
 
 class Boundary:
     """A boundary of a body, or a wall, that need not fit the grid.
 
-    It consists of markers: quadrature points with area vectors. They see the grid by stencils of
-    their own, as mere points, so that fields have traces there and the cell's gradients; and the
-    cells that they are in are active. Each of them has the state of the nearest material point
-    at the start of a step, which laws need.
+    A boundary consists of markers: quadrature points with area vectors. Each marker has a stencil
+    of its own, so that fields have values and gradients at the marker. At the start of a step,
+    each marker gets the state of the nearest material point, which laws need.
 
-    Terms over it are integrals over `boundary.ds`, such as `dirichlet` makes. It is the
-    configuration at the start of the step that is integrated over.
+    Terms such as the terms of `dirichlet` are integrals over `boundary.ds`, in the configuration
+    at the start of the step.
 
     Args:
         points: Material points of the body.
-        x: Positions (m), shape (n, gdim). Each rank gives some of the markers, or all, or none;
-            those that several ranks give alike count once.
-        area: Area vectors (m^(d-1)), area times outward unit normal, likewise; of axisymmetric
-            bodies the
-            whole ones (m²), 2π r times the length of the section. Other constructors find them.
-        follows: Whether the markers move with the body; else they stay where they are.
+        x: Positions (m), shape (n, gdim). Each rank gives some markers, all markers or none. A
+            marker that several ranks give counts once.
+        area: Area vectors, area times outward unit normal (m^(d-1)), shape (n, gdim). For
+            axisymmetric bodies the area goes around the axis: 2π r times the length of the
+            section (m²). Other constructors compute the vectors.
+        follows: Whether the markers move with the body; otherwise they do not move.
         name: Name in messages and checkpoints.
-        activates: Whether the cells that markers are in become active, as those of a body's own
-            boundary should. If not, markers take part as long as points are in their cells, as
-            those of walls. By default markers that follow the body do so.
+        activates: Whether the cells of the markers become active, as for the boundary of a body.
+            Otherwise a marker acts while material points are in its cell, as for a wall. By
+            default the same as `follows`.
 
     Attributes:
-        points: The body.
-        markers: The markers as points: their fields `x`, `x0`, `area` (m^(d-1), a vector)
-            and `V`, its length, and those that hold the state of the nearest material point.
+        points: Material points of the body.
+        markers: The markers as points, with the fields `x`, `x0`, `area` (m^(d-1), a vector), `V`
+            (the length of `area`), and fields for the state of the nearest material point.
         follows, name, activates: The arguments.
-        late: Whether the body had moved when it was made.
-        tiles: Whether each marker is the middle of a segment of its length, which together are it.
-        forces: Names of the markers' fields that hold the forces of conditions on the body
-            in the last step (N), see `force`.
+        late: Whether the body had moved before the boundary was made.
+        tiles: Whether each marker is the middle of a segment with the marker's length. The
+            segments together are the boundary.
+        forces: Names of the markers' fields with the forces of conditions on the body in the last
+            step (N), see `force`.
         ds: Measure over the markers.
 
     Raises:
@@ -92,9 +87,20 @@ class Boundary:
         ParameterError: A value is not finite, an area is zero, or the normals point into the body.
         EmptyShapeError: There is no marker.
         PointsOutsideGridError: A marker is outside the grid.
+
+    A boundary through the cells, cut at the grid's lines:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> corners = [(0.3, 0.3), (3.3, 0.3), (3.3, 2.3), (0.3, 2.3)]
+    >>> points = mpm.fill(grid, mpm.Polygon(corners), per_cell=2, density=2000.0, exact=True)
+    >>> edge = mpm.Boundary.from_polygon(points, corners)
+    >>> round(edge.total_area, 12)
+    10.0
     """
 
-    @together(own=("x", "area"))
+    @collective(local=("x", "area"))
     def __init__(
         self,
         points: MaterialPoints,
@@ -114,9 +120,9 @@ class Boundary:
         at, vectors = call_together(points.comm, lambda: rows_of(points.gdim, x, area))
         sizes = np.linalg.norm(vectors, axis=1)
         if points.comm.allreduce(len(at), op=MPI.SUM) == 0:
-            axis = " and off the axis, which bounds no body" if points.axisymmetric else ""
+            axis = ", and not on the axis" if points.axisymmetric else ""
             raise EmptyShapeError(
-                f"the boundary has no markers; its markers must lie in the grid{axis}"
+                f"the boundary has no markers; give markers that lie in the grid{axis}"
             )
         at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
@@ -124,37 +130,38 @@ class Boundary:
         self.tiles = False
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
-        self.name = name or f"boundary{next_on(points.grid, 'boundary')}"
+        self.name = name or f"boundary{next_number(points.grid, 'boundary')}"
         self.markers = markers = MaterialPoints.from_arrays(
             points.grid, at, sizes, 1.0, half_length=0.0,
             fields={"area": vectors, "area0": vectors}, axisymmetric=points.axisymmetric,
         )  # fmt: skip
         check_outward(points, markers["x"], markers["area"], self.name)
-        # laws whose parameters vary have fields of the same names on both
+        # laws with varying parameters have fields of the same names at points and markers
         markers.symbols.laws = points.laws
         mark = {**markers.dx.metadata(), "boundary": self}
         self.ds = markers.dx.reconstruct(metadata=mark)
 
     @property
     def seen(self) -> Array:
-        """Positions that its markers see the grid from (m): those now, or at first."""
+        """Positions for the markers' stencils (m): present positions, or first positions."""
         return self.markers["x0" if self.markers.configuration == "total" else "x"]
 
     def placement(self) -> Placement:
-        """The markers as a basis sees them: points without a domain, and without volume."""
+        """The markers for a basis: points without domain and volume."""
         x = self.seen
         return Placement(x, np.zeros_like(x), np.zeros(len(x)), self.markers["cell"])
 
     def deformation(self) -> Array:
-        """Deformation gradients that carry gradients by first positions to those by present ones.
+        """Deformation gradients, shape (markers, gdim, gdim).
 
-        Shape (markers, gdim, gdim): those of the markers, and at a wall those of the body there.
+        They turn gradients by first positions into gradients by present positions. A marker of a
+        wall has the deformation gradient of the nearest point.
         """
         F = self.markers[OWN if self.follows else "F"]
         return np.ascontiguousarray(in_section(self.markers, F))
 
     def present(self) -> npt.NDArray[np.bool_]:
-        """Which of its markers may see the body at all, shape (markers,)."""
+        """Which markers are near the body, shape (markers,)."""
         if "apart" not in self.markers.fields:
             return np.ones(len(self.markers), bool)
         return self.markers["apart"] == 0.0
@@ -162,10 +169,10 @@ class Boundary:
     def __repr__(self) -> str:
         return f"Boundary '{self.name}'"
 
-    # -- where markers come from ----------------------------------------------
+    # -- constructors ---------------------------------------------------------
 
     @classmethod
-    @together
+    @collective
     def from_polygon(
         cls,
         points: MaterialPoints,
@@ -178,21 +185,22 @@ class Boundary:
         activates: bool | None = None,
         spacing: float | None = None,
     ) -> Boundary:
-        """Along a polygon in the plane, or a chain of segments. Collective.
+        """Boundary along a polygon in the plane, or along a chain of segments. Collective.
 
         Args:
             points: Material points of the body.
-            vertices: Its corners (m), shape (n, 2), the same on all ranks; the body is to the left.
-            closed: Whether the last corner is joined to the first.
+            vertices: Corners (m), shape (n, 2), the same on all ranks. The body is to the left.
+            closed: Whether a segment joins the last corner to the first.
             follows, name, activates: See `Boundary`.
-            rule: Gauss points on each piece of a segment in a cell.
-            spacing: Longest piece (m); by default those that cells cut, or half a cell where the
-                grid is not rectangular. Bodies that move far, or whose grid is laid anew, need
-                markers that are dense enough wherever they come.
+            rule: Gauss points per piece of a segment in a cell.
+            spacing: Greatest length of a piece (m). By default the cells of a rectangular grid
+                cut the pieces, and half a cell is the limit on other grids. Give a spacing for
+                bodies that move far, or for grids with a moving fine zone.
 
         Raises:
             UnsupportedGridError: The grid is not in two dimensions.
-            FieldShapeError, ParameterError: The corners are not what they may be.
+            FieldShapeError: The corners have another shape.
+            ParameterError: There are too few corners, or a corner is given twice in a row.
         """
         check_points(points)
         if points.gdim != 2:
@@ -215,17 +223,19 @@ class Boundary:
         return made
 
     @classmethod
-    @together
+    @collective
     def from_side(
         cls, points: MaterialPoints, side: str, *, rule: int = 2, name: str | None = None
     ) -> Boundary:
-        """A side of a rectangular grid, as a wall: it stays, and activates no cells. Collective.
+        """Side of a rectangular grid as a wall that does not move. Collective.
+
+        The wall activates no cells.
 
         Args:
             points: Material points of the body.
             side: A side by its axis or name, "x-" or "left"; see `prescribed`.
-            rule: Gauss points of a cell's side in each direction.
-            name: Name of the boundary; that of the side by default.
+            rule: Gauss points per side of a cell and direction.
+            name: Name of the boundary; the name of the side by default.
 
         Raises:
             ParameterError: There is no such side.
@@ -234,23 +244,12 @@ class Boundary:
         check_points(points)
         word, axis, end = side_of(side, points.gdim)
         lattice = require_lattice(points.grid, "a boundary at a side of the grid")
-        at, weights = np.polynomial.legendre.leggauss(whole("rule", rule, 1))
-        places, lengths = [], []
-        for d, line in enumerate(lattice.lines):
-            middle, half = 0.5 * (line[1:] + line[:-1]), 0.5 * np.diff(line)
-            across = d == axis
-            places.append(
-                line[[-end]] if across else (middle[:, None] + half[:, None] * at).ravel()
-            )
-            lengths.append(np.ones(1) if across else (half[:, None] * weights).ravel())
-        x = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1)
-        area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
-        normal = np.eye(points.gdim)[axis] * (1.0 if end else -1.0)
-        x, area = revolved(points, x.reshape(-1, points.gdim), area * normal)
+        x, area = side_markers(lattice, axis, end, whole("rule", rule, 1))
+        x, area = revolved(points, x, area)
         return cls(points, x, area, follows=False, name=name or word, activates=False)
 
     @classmethod
-    @together
+    @collective
     def from_triangles(
         cls,
         points: MaterialPoints,
@@ -261,21 +260,22 @@ class Boundary:
         name: str | None = None,
         activates: bool | None = None,
     ) -> Boundary:
-        """On triangles in space. Collective.
+        """Boundary of triangles in space. Collective.
 
-        On grids that are not rectangular the triangles are not cut where cells meet: give
-        some that are no larger than cells.
+        On rectangular grids, triangles are cut where cells meet. On other grids they are not cut:
+        give triangles that are no larger than cells.
 
         Args:
             points: Material points of the body.
             vertices: Corners (m), shape (n, 3), the same on all ranks.
-            triangles: Three of them each, shape (m, 3); the outward normal is that of their
-                right-handed turn.
+            triangles: Three corners per triangle, shape (m, 3). The outward normal follows from
+                the order of the corners by the right-hand rule.
             follows, name, activates: See `Boundary`.
 
         Raises:
             UnsupportedGridError: The grid is not in three dimensions.
-            FieldShapeError, ParameterError: The triangles are not what they may be.
+            FieldShapeError: An array has another shape.
+            ParameterError: A triangle has a corner that does not exist.
         """
         check_points(points)
         if points.gdim != 3:
@@ -289,7 +289,7 @@ class Boundary:
         return cls(points, x, area, follows=follows, name=name, activates=activates)
 
     @classmethod
-    @together
+    @collective
     def from_level_set(
         cls,
         points: MaterialPoints,
@@ -301,55 +301,44 @@ class Boundary:
         name: str | None = None,
         activates: bool | None = None,
     ) -> Boundary:
-        """Where a function vanishes, interpolated linearly within parts of the cells. Collective.
+        """Boundary where a function is zero. Collective.
+
+        The function is interpolated linearly in parts of the cells.
 
         Args:
             points: Material points of the body.
-            phi: Function of positions (m), shape (gdim, n), to n values, negative in the
-                body; see `dolfinmpm.grid.positions`.
-            subdivisions: Parts of a cell in each direction, on rectangular grids. The error of
-                the boundary's place is of the square of their size.
+            phi: Function of positions (m), shape (gdim, n), that returns n values, negative in
+                the body; see `dolfinmpm.grid.userfunctions`.
+            subdivisions: Parts per cell and direction, on rectangular grids. The error of the
+                boundary's position is proportional to the square of the size of a part.
             follows, name, activates: See `Boundary`.
-            rule: Gauss points on each piece of a line in 2D.
+            rule: Gauss points per piece of a line in 2D.
 
         Raises:
-            ParameterError: The function is not what it may be.
-            EmptyShapeError: It vanishes nowhere on the grid.
+            ParameterError: The argument is no function, or a value is not finite.
+            EmptyShapeError: The function is zero nowhere on the grid.
+            UnsupportedGridError: The grid is in one dimension, or its cells are not supported.
         """
         check_points(points)
-        if not callable(phi):
-            raise ParameterError(
-                f"phi = {shown(phi)} must be a function of positions, such as lambda x: "
-                "np.hypot(*x) - 1.0"
-            )
-        grid, d = points.grid, points.gdim
-        if d == 1:
+        check_function("phi", phi, "of positions, such as lambda x: np.hypot(*x) - 1.0")
+        if points.gdim == 1:
             raise UnsupportedGridError("a level set needs a grid of 2D or 3D; give Boundary(...)")
         whole("subdivisions", subdivisions, 1), whole("rule", rule, 1)
-        simplices = simplices_of(grid, subdivisions)
-        flat = simplices.reshape(-1, d)
-        values = call_together(points.comm, lambda: ask("phi", phi, flat))
-        bad = np.flatnonzero(~np.isfinite(values))
-        raise_together(
-            points.comm,
-            ParameterError(f"phi = {values[bad[0]]} at {flat[bad[0]]} m must be finite")
-            if bad.size
-            else None,
-        )
-        pieces = contour(simplices, values.reshape(simplices.shape[:2]))
-        if d == 2:
+        pieces = level_set_pieces(points.grid, phi, subdivisions)
+        if points.gdim == 2:
             x, area = along_segments(pieces, (), np.inf, rule)
         else:
             x, area = cut_triangles(pieces, None, coarse=True)
         if points.comm.allreduce(len(x), op=MPI.SUM) == 0:
             raise EmptyShapeError(
-                "phi changes its sign nowhere on the grid; it has no level 0 there"
+                "phi changes its sign nowhere on the grid: phi must be negative in the body, "
+                "positive outside, and 0 at the boundary"
             )
         return cls(
             points, *revolved(points, x, area), follows=follows, name=name, activates=activates
         )
 
-    # -- of UFL ---------------------------------------------------------------
+    # -- UFL ------------------------------------------------------------------
 
     @property
     def x(self) -> PointField:
@@ -358,7 +347,7 @@ class Boundary:
 
     @property
     def x0(self) -> PointField:
-        """Positions at first (m)."""
+        """First positions (m)."""
         return self.markers.x0 if self.follows else self.markers.x
 
     @property
@@ -367,45 +356,45 @@ class Boundary:
         return self.markers.area / self.markers.V
 
     def traction(self, t, v) -> ufl.Form:
-        """Traction, to be added: −∫ t·v da at the start of the step.
+        """Form of a traction, −∫ t·v da at the start of the step; add it to the weak form.
 
         Args:
-            t: Force per area (Pa), a vector of UFL.
+            t: Force per area (Pa), a vector for UFL, shape (gdim,).
             v: Test function, `Space.test`.
 
         Raises:
-            ParameterError: t is no vector of the dimension of space, or v no test function.
+            ParameterError: t is no such vector, or v is no test function.
         """
         check_displacement(self.points, v=v)
         t = vector_of(self.points, "traction", t)
-        return acting(-ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
+        return signed_form(-ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
-        """Pressure that follows the boundary, to be added.
+        """Form of a pressure that follows the boundary; add it to the weak form.
 
-        ∫ p ΔJ ΔF⁻ᵀ n · v da by Nanson's formula, from the start of the step on.
+        The form is ∫ p ΔJ ΔF⁻ᵀ n · v da, by Nanson's formula from the start of the step.
 
         Args:
-            p: Pressure (Pa), positive towards the body: a DOLFINx constant or a scalar of UFL.
+            p: Pressure (Pa), positive towards the body: a DOLFINx constant or a scalar for UFL.
             u: Increment of the step, `Space.increment`.
             v: Test function, `Space.test`.
 
         Raises:
-            ParameterError: p is no scalar, or u and v no increment and no test function.
+            ParameterError: p is no scalar, u is no increment, or v is no test function.
         """
         check_displacement(self.points, u=u, v=v)
         p = pressure_of(self.points, p)
         dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
         back = in_section(self.markers, ufl.inv(dF))
         work = p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
-        return acting(work, self.ds, f"the pressure on '{self.name}'")
+        return signed_form(work, self.ds, f"the pressure on '{self.name}'")
 
-    @together
+    @collective
     def force(self) -> Array:
         """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.
 
-        Of axisymmetric bodies it is that all around, the first component being the sum of radial
-        forces.
+        For axisymmetric bodies, the force goes around the axis. Its first component is the sum of
+        the radial forces.
         """
         sums = sum((self.markers[name].sum(axis=0) for name in self.forces), np.zeros(self.gdim))
         return self.points.comm.allreduce(np.asarray(sums), op=MPI.SUM)
@@ -416,7 +405,7 @@ class Boundary:
         return self.points.gdim
 
     @property
-    @together
+    @collective
     def total_area(self) -> float:
-        """Area now (m^(d-1); of axisymmetric bodies m²), on all ranks. Collective."""
+        """Present area on all ranks (m^(d-1); m² for axisymmetric bodies). Collective."""
         return self.points.comm.allreduce(float(self.markers["V"].sum()), op=MPI.SUM)

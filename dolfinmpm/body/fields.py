@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import call_function
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
@@ -20,14 +20,14 @@ __all__ = ["PointField"]
 
 
 class PointField(ufl.Coefficient):
-    """A field of the material points, usable in UFL under the points' own measures.
+    """A field of the material points for UFL, in integrals over the points' measures.
 
     Attributes:
-        name: Its name among the points' fields.
-        unit: Its unit.
-        points: The material points that carry it.
-        first: Value that points have that come without one: one for all, or a function of
-            first positions (m), shape (gdim, n), to shape (n, *shape of the field).
+        name: Name of the field.
+        unit: Unit.
+        points: The material points.
+        first: Value for points that join without a value: one value for all points, or a function
+            of first positions (m), shape (gdim, n), that returns shape (n, *shape of the field).
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class PointField(ufl.Coefficient):
         first: Any = 0.0,
     ):
         cell = points.grid.topology.cell_name()
-        # of degree 1, for UFL would drop the gradient of a constant before it can be refused
+        # degree 1: UFL would drop the gradient of a constant before a check can refuse it
         element = basix.ufl.element("DG", cell, 1, shape=shape)
         super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
         self.points = points
@@ -53,18 +53,18 @@ class PointField(ufl.Coefficient):
         return self.points.fields[self.name]
 
     def first_values(self, x0: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Values of points that come without one, shape (n, *shape of the field).
+        """First values of points, shape (n, *shape of the field).
 
         Args:
-            x0: Their first positions (m), shape (n, gdim).
+            x0: First positions of the points (m), shape (n, gdim).
 
         Raises:
-            FieldShapeError: The first value has another shape than the field.
-            ParameterError: A function's has, or the function fails.
+            FieldShapeError: The first value and the field have different shapes.
+            ParameterError: A function fails, or returns another shape.
         """
         shape = self.ufl_shape
         if callable(self.first):
-            return ask(f"the first value of field '{self.name}'", self.first, x0, shape)
+            return call_function(f"the first value of field '{self.name}'", self.first, x0, shape)
         try:
             given = np.asarray(self.first, float)
         except (TypeError, ValueError):
@@ -78,15 +78,15 @@ class PointField(ufl.Coefficient):
             )
         return np.broadcast_to(given, (len(x0), *shape)).copy()
 
-    # NumPy would make an array of objects of each component
+    # otherwise NumPy would make an array of objects from the components
     __array_ufunc__ = None
 
     def __mul__(self, other: Any) -> Any:
         """The product in UFL.
 
         Raises:
-            ParameterError: The other is no expression, but a tuple, a list or an array; or
-                density is to give a force with an acceleration of another dimension.
+            ParameterError: `other` is a tuple, a list or an array; or the field is the density,
+                and `other` is a vector of another dimension.
         """
         self._check_factor(other)
         return super().__mul__(other)

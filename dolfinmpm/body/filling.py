@@ -11,36 +11,36 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, truth
+from dolfinmpm._platform.argumentchecks import number, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
     ShapeOutsideGridError,
     call_together,
 )
-from dolfinmpm._platform.together import together
-from dolfinmpm.body.amounts import check_amount, check_per_cell
 from dolfinmpm.body.axisymmetry import require_axis, ring
+from dolfinmpm.body.cellparts import CellParts, LatticeParts, Parts
 from dolfinmpm.body.exchange import numbers_in_order
 from dolfinmpm.body.location import bounds, destinations
-from dolfinmpm.body.parts import CellParts, LatticeParts, Parts
+from dolfinmpm.body.pointchecks import require_grid
+from dolfinmpm.body.pointlimits import check_amount, check_per_cell
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
-from dolfinmpm.body.validity import require_grid
-from dolfinmpm.body.volumes import correct, pieces_inside
+from dolfinmpm.body.shapevolumes import correct, pieces_inside
 from dolfinmpm.grid.lattice import Lattice, lattice_of, require_lattice
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["fill"]
 
 Array = npt.NDArray[np.float64]
 Density = float | Callable[[Array], Array]
 
-# Slivers below this share of a sub-cell come from rounding, not from the shape.
+# Overlaps below this share of a part of a cell come from rounding
 _SLIVER = 1e-9
 
 
-@together
+@collective
 def fill(
     grid: Mesh,
     shape: Shape,
@@ -52,45 +52,43 @@ def fill(
     exact: bool = False,
     axisymmetric: bool = False,
 ) -> MaterialPoints:
-    """Place material points in a shape. Collective.
+    """Fill a shape with material points. Collective.
 
-    Every cell is divided into `per_cell` equal parts in each direction, and a
-    point is put at the centre of each part whose centre is in the shape: n, n² or
-    n³ points per cell. On rectangular grids the parts that a `Box` cuts are
-    trimmed to it, so that volume and mass are exact; for other shapes the result's
-    `volume_error` tells by how much they are not.
+    Every cell is divided into `per_cell` equal parts per direction: n, n² or n³ parts. Each part
+    with its centre in the shape gets a point at the centre. On rectangular grids, parts that a
+    `Box` cuts are trimmed to the box, so that volume and mass are exact. For other shapes,
+    `volume_error` of the points is the relative error of their volume.
 
-    With `exact` every part that the surface of the shape cuts gets a point, at the
-    centroid of what is inside and with its volume. Volume and centre of mass of the body are
-    those of the shape where it knows its own (`Box`, `Ball`, `TurnedBox`, `Polygon`, and others
-    whose `volume` and `centroid` have been set), to rounding; for combinations they are as
-    good as sampling, which misses up to 1e-3 of the volume of a body eight cells wide.
+    With `exact`, every part that the surface of the shape cuts gets a point. The point has the
+    volume and the centroid of the piece inside the shape. For shapes with a known volume and
+    centroid, the volume and the centre of mass of the body are exact to rounding. These shapes are
+    `Box`, `Ball`, `TurnedBox`, `Polygon`, and shapes whose `volume` and `centroid` are set. For
+    combinations of shapes the volume is sampled, with an error of up to 1e-3 for a body eight
+    cells wide.
 
-    Numbers of points follow the cells of the grid, whatever the number of ranks.
+    Numbers of points follow the cells of the grid. They do not depend on the number of ranks.
 
     Args:
         grid: Background grid.
-        shape: What to fill.
+        shape: The shape.
         per_cell: Points per cell and direction.
-        density: Mass per volume (kg/m^d): a number, or a function of positions in
-            DOLFINx's layout, shape (gdim, n), that returns n values.
-        aligned: "grid" divides the cells of the grid; "body" divides a `Box` or a
-            `TurnedBox` into parts of the same size that start at its own corner,
-            wherever the grid's lines are.
-        tag: Number of the part of the body that these points are, from 0.
-        exact: Whether parts that the surface cuts are filled with what is inside of them.
-        axisymmetric: Whether the shape is the section of a body of revolution about the axis
-            x[0] = 0, and the volumes are are 2π r times those of the parts, and
-            masses, forces and energies those of the whole body.
+        density: Mass per volume (kg/m^d): a number, or a function of positions, shape (gdim, n),
+            that returns n values.
+        aligned: "grid" divides the cells of the grid. "body" divides a `Box` or a `TurnedBox`
+            into parts of nearly the same size that start at the corner of the box.
+        tag: Number of the part of the body, from 0.
+        exact: Whether parts that the surface cuts get points, see above.
+        axisymmetric: Whether the shape is the section of an axisymmetric body about the axis
+            x[0] = 0. Volumes are then 2π r times the areas of the parts. Masses, forces and
+            energies are for the whole body.
 
     Raises:
-        ParameterError: An argument is not what it may be, or the volume cannot be made
-            exact with so few points.
+        ParameterError: An argument is not valid, or so few points cannot have the exact volume.
         ShapeOutsideGridError: The shape reaches outside the grid.
         EmptyShapeError: No point falls into the shape.
-        UnsupportedGridError: The cells are curved, coordinates of single precision, or
-            `aligned="body"` is asked for on a grid that is not rectangular; or a grid of
-            axisymmetric points is not two-dimensional, or reaches beyond the axis.
+        UnsupportedGridError: The cells are curved, or coordinates have single precision;
+            `aligned="body"` needs a rectangular grid. For axisymmetric points: the grid is not
+            two-dimensional, or reaches beyond the axis.
 
     A box that ends in the middle of a row of cells is filled exactly:
 
@@ -125,12 +123,12 @@ def fill(
 
     rho: Any = density
     if callable(density):
-        rho = call_together(grid.comm, lambda: ask("density", density, x))
+        rho = call_together(grid.comm, lambda: call_function("density", density, x))
     ids = numbers_in_order(grid.comm, key[:, None])
     whole = shape.volume
     if axisymmetric:
         volume = ring(x[:, 0], volume)
-        # by Pappus, where the centroid is known
+        # Pappus's theorem, if the centroid is known
         middle = None if shape.centroid is None else shape.centroid[0]
         whole = None if middle is None or whole is None else ring(middle, whole)
     points = MaterialPoints(
@@ -152,8 +150,8 @@ def _check_arguments(shape: Any, per_cell: Any, aligned: Any, tag: Any) -> None:
         raise ParameterError(f"fill takes one shape, got a {type(shape).__name__}; {hint}")
     if isinstance(per_cell, bool) or not isinstance(per_cell, (int, np.integer)) or per_cell < 1:
         raise ParameterError(
-            f"per_cell = {per_cell!r} must be a whole number of at least 1: of the points a cell "
-            "and direction, so that 2 puts 2² into a square"
+            f"per_cell = {per_cell!r} must be a whole number of at least 1: the number of points "
+            "per cell and direction, such as 2 for 2² points per square"
         )
     if aligned not in ("grid", "body"):
         raise ParameterError(f'aligned = {aligned!r} must be "grid" or "body"')
@@ -190,7 +188,7 @@ def _parts(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int) -> Parts:
 
 
 def _whole_parts(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int):
-    """Parts whose centres are inside; those that a box cuts trimmed to it. Collective."""
+    """Parts with their centres in the shape; parts that a box cuts are trimmed. Collective."""
     parts = _parts(grid, lattice, shape, n)
     if isinstance(parts, LatticeParts) and isinstance(shape, Box):
         return _trimmed(parts, shape)
@@ -204,7 +202,7 @@ def _trimmed(parts: LatticeParts, shape: Box):
     assert shape.low is not None
     assert shape.high is not None
     low, high = parts.low, parts.high
-    # what rounding left between a face of the box and a face of a part is no overlap
+    # a gap from rounding between a face of the box and a face of a part is no overlap
     slack = _SLIVER * (high - low)
     low = np.where(np.abs(low - shape.low) > slack, np.maximum(low, shape.low), low)
     high = np.where(np.abs(high - shape.high) > slack, np.minimum(high, shape.high), high)
@@ -215,7 +213,7 @@ def _trimmed(parts: LatticeParts, shape: Box):
 
 
 def _cut(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int):
-    """What is inside of all parts, with the shape's volume and moments. Collective."""
+    """Pieces of the parts inside the shape, with the shape's volume and moments. Collective."""
     parts = _parts(grid, lattice, shape, n)
     if isinstance(parts, LatticeParts) and isinstance(shape, Box):
         return _trimmed(parts, shape)
@@ -244,7 +242,7 @@ def _divide_box(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
     x: Array = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines))
     if isinstance(shape, TurnedBox):
         x = shape.turn(x)
-    # every rank makes all the points and keeps those whose cells it owns
+    # every rank makes all points, and keeps the points in its own cells
     to = destinations(grid, x)
     mine = to.rank == grid.comm.rank
     x, key = x[mine], np.flatnonzero(mine)

@@ -10,10 +10,10 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, truth
+from dolfinmpm._platform.argumentchecks import check_kind, number, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.given import ReadOnce
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
@@ -57,11 +57,27 @@ class RigidFooting(ReadOnce):
         ParameterError: The surface has no axis for its normal, the settlement is not a
             scalar constant, or neither E nor the stiffness is positive and finite; or an
             argument is assigned to later.
+
+    A footing of 2 m, 1 cm down:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> from dolfinx import fem
+    >>> top = mpm.Surface(points, lambda x: (x[1] > 1.9) & (x[0] < 2.0), normal=(0, 1))
+    >>> footing = mpm.RigidFooting(top, fem.Constant(grid, 0.01), E=1e6)
+    >>> F += footing.contact(V.increment, V.test)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+    >>> round(footing.load(), -2)
+    16000.0
     """
 
     _attributes = frozenset({"surface", "settlement", "rough", "stiffness"})
 
-    @together
+    @collective
     def __init__(
         self,
         surface: Surface,
@@ -144,7 +160,7 @@ class RigidFooting(ReadOnce):
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 
-    @together
+    @collective
     def reaction(self) -> Array:
         """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
 
@@ -153,7 +169,7 @@ class RigidFooting(ReadOnce):
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)
 
-    @together
+    @collective
     def load(self) -> float:
         """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
         return float(-self.reaction() @ self.surface.normal)

@@ -9,7 +9,7 @@ from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
 
-from dolfinmpm._platform.checks import check_kind, shown
+from dolfinmpm._platform.argumentchecks import check_kind, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.points import MaterialPoints
 

@@ -1,4 +1,4 @@
-"""Points go to the ranks that compute their cells, which are chosen so that all have as many."""
+"""Load balance: a partition of the cells that gives all ranks the same number of points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ENOUGH", "balance", "beside", "imbalance", "occupied"]
 
-# Largest number of points on a rank over the mean that is left as it is
+# Imbalance (largest number of points on a rank over the mean) up to which nothing changes
 ENOUGH = 1.1
 
 
@@ -33,12 +33,12 @@ def imbalance(points: MaterialPoints) -> float:
 
 
 def balance(points: MaterialPoints) -> int:
-    """Distribute the points anew over the ranks if these have too unequal shares. Collective.
+    """Make a new partition if the ranks have too different numbers of points. Collective.
 
-    On a lattice; on other grids points stay with the cells of DOLFINx's mesh.
+    This needs a rectangular grid. On other grids, points stay with the cells of DOLFINx's mesh.
 
     Returns:
-        How many points changed rank, over all ranks.
+        Number of points that changed rank, over all ranks.
 
     Raises:
         PointsOutsideGridError: Points are outside the grid.
@@ -48,7 +48,7 @@ def balance(points: MaterialPoints) -> int:
     lattice = lattice_of(points.grid)
     if lattice is None:
         return 0
-    # a body of a few cells cannot be divided better, and is not tried again and again
+    # a body in few cells may have no better partition: do not try in every step
     best = 1.0 if points.partition is None else points.partition.imbalance
     if imbalance(points) <= max(ENOUGH, 1.02 * best):
         return 0
@@ -71,14 +71,14 @@ def _divided(points: MaterialPoints, lattice: Lattice) -> Partition:
 
 
 def beside(points: MaterialPoints, partition: Partition | None) -> MaterialPoints:
-    """The points, on the ranks that a partition tells. Collective.
+    """The points, distributed by a partition. Collective.
 
     Args:
-        points: Material points; they stay as they are.
-        partition: The partition, or None for the ranks that have the cells in DOLFINx's mesh.
+        points: Material points; they stay unchanged.
+        partition: The partition; None for the owners of cells in DOLFINx's mesh.
 
     Returns:
-        The points themselves if they are there already; else a copy for reading.
+        The points themselves if they have this partition, otherwise a copy for reading.
     """
     if points.partition is partition:
         return points
@@ -92,7 +92,7 @@ def beside(points: MaterialPoints, partition: Partition | None) -> MaterialPoint
 
 
 def occupied(points: MaterialPoints) -> npt.NDArray[np.int32]:
-    """Cells of DOLFINx's mesh owned by this rank that points of any rank are in. Collective."""
+    """This rank's own cells in DOLFINx's mesh that contain points of any rank. Collective."""
     if points.partition is None:
         return np.unique(points["cell"])
     grid = points.grid

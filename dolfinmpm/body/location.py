@@ -1,4 +1,4 @@
-"""Which cell, and which rank, a position belongs to."""
+"""Location: the cell and the rank of a position."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TOLERANCE = 1e-10
 
 @numba.njit(cache=True, error_model="numpy")
 def _cells(x, lines, starts, uniform, origin, table, shape, cells):
-    """Local cells of positions, -1 for those that are outside, or in cells not known here."""
+    """Local cells of positions; -1 outside the grid, or in cells that this rank does not know."""
     for p in range(x.shape[0]):
         at = 0
         for d in range(x.shape[1]):
@@ -78,7 +78,7 @@ class _LatticeLocator:
         return cells
 
     def holds(self, x, cells) -> npt.NDArray[np.bool_]:
-        """Whether each position is in the local cell named."""
+        """Whether each position is in a given local cell."""
         inside = np.ones(len(x), bool)
         for d, line in enumerate(self._lattice.lines):
             slack = _TOLERANCE * (line[-1] - line[0]) / (line.size - 1)
@@ -88,7 +88,7 @@ class _LatticeLocator:
 
 
 class _MeshLocator:
-    """Cells of any grid: first the cell that the point was in, then the bounding-box tree."""
+    """Cells of any grid: first the point's last cell, then a search in the bounding-box tree."""
 
     def __init__(self, grid: Mesh):
         self._grid = grid
@@ -99,7 +99,7 @@ class _MeshLocator:
         self._tree: Any = None
 
     def holds(self, x, cells) -> npt.NDArray[np.bool_]:
-        """Whether each position is in the local cell named; in none where that is -1."""
+        """Whether each position is in a given local cell; False for the cell -1."""
         result = np.empty(len(x), bool)
         contained(
             self._kind, self._vertices, self._coordinates, cells.astype(np.int32), x, _TOLERANCE,
@@ -148,7 +148,13 @@ def bounds(grid: Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]
 def outside_cells(
     grid: Mesh, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.intp]:
-    """Which positions (m), shape (n, gdim), are not in the local cells named, shape (n,)."""
+    """Rows of the positions that are not in the given cells.
+
+    Args:
+        grid: Background grid.
+        x: Positions (m), shape (n, gdim).
+        cells: Local cells, shape (n,).
+    """
     return np.flatnonzero(~_locator(grid).holds(x, cells))
 
 
@@ -159,12 +165,11 @@ def cells_here(grid: Mesh, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
 
 @dataclass(frozen=True)
 class Destinations:
-    """Where positions belong.
+    """Ranks and cells of positions.
 
     Attributes:
-        rank: Owning rank, -1 where the position is outside the grid; shape (n,).
-        cell: Global index of the cell, -1 likewise, and wherever a partition tells the
-            ranks; shape (n,).
+        rank: Rank of each position, shape (n,); -1 outside the grid.
+        cell: Global index of each cell, shape (n,); -1 outside the grid, or with a partition.
     """
 
     rank: npt.NDArray[np.int32]
@@ -177,16 +182,16 @@ def destinations(
     guess: npt.NDArray[np.int32] | None = None,
     partition: Partition | None = None,
 ) -> Destinations:
-    """Owner and cell of each position. Collective.
+    """Rank and cell of each position. Collective.
 
-    Every position gets one owner: a position on a facet between ranks goes to
-    the rank that finds it in a cell of its own, the lowest such rank if several do.
+    Every position gets one rank. A position on a facet between ranks goes to the lowest rank that
+    finds it in one of its own cells.
 
     Args:
         grid: Background grid.
         x: Positions (m), shape (n, gdim).
-        guess: Local cells to look in first, shape (n,), -1 for none.
-        partition: Which rank computes a cell; None for the one that has it in DOLFINx's mesh.
+        guess: Local cells for the first search, shape (n,); -1 for none.
+        partition: Rank that computes each cell; None for the owner in DOLFINx's mesh.
     """
     if partition is not None:
         lattice = lattice_of(grid)
@@ -212,7 +217,7 @@ def destinations(
     counts = comm.allgather(lost.size)
     if comm.size == 1 or sum(counts) == 0:
         return Destinations(rank, cell)
-    # positions that this rank does not know are few: every rank is asked about them
+    # few positions are unknown on this rank: all ranks search for these positions
     everyone = np.concatenate(comm.allgather(x[lost]))
     claimed = locator.find(everyone, np.full(len(everyone), -1, np.int32))
     mine = (claimed >= 0) & (claimed < cell_map.size_local)

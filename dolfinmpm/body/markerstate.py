@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.points import MaterialPoints

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinmpm._platform.checks import file_path
+from dolfinmpm._platform.argumentchecks import file_path
 
 __all__ = ["read_mesh"]
 

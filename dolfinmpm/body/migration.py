@@ -18,15 +18,15 @@ __all__ = ["migrate", "settle"]
 def migrate(points, to: Destinations) -> int:
     """Move points to the ranks that compute their cells. Collective.
 
-    Reads and changes every field of the points. The number of points and their
-    mass are compared before and after, over all ranks.
+    All fields of the points move. The number and the mass of the points on all ranks must be the
+    same before and after.
 
     Args:
         points: Material points.
-        to: Owner and cell of each of them.
+        to: Rank and cell of each point.
 
     Returns:
-        How many points changed rank, over all ranks.
+        Number of points that changed rank, over all ranks.
 
     Raises:
         MigrationError: Points or mass were lost or doubled.
@@ -62,20 +62,20 @@ def _totals(points) -> np.ndarray:
 
 
 def settle(points, configuration: str) -> None:
-    """Bring points to the ranks and cells of the positions that a problem sees. Collective.
+    """Move points to the ranks and cells of the positions that a problem uses. Collective.
 
     Args:
         points: Material points.
-        configuration: "updated" for their present positions, "total" for those at first.
+        configuration: "updated" for present positions, "total" for first positions.
 
     Raises:
-        PointsOutsideGridError: Some of these positions lie outside the grid.
+        PointsOutsideGridError: Positions lie outside the grid.
     """
-    laid, kept = times_regridded(points.grid), points.__dict__
-    # the grid's lines may have been laid anew for other points
-    if points.configuration == configuration and kept.get("_laid", 0) == laid:
+    regridded, kept = times_regridded(points.grid), points.__dict__
+    # the lines of the grid may have moved for other points
+    if points.configuration == configuration and kept.get("_regridded", 0) == regridded:
         return
-    kept["_laid"] = laid
+    kept["_regridded"] = regridded
     former, points.configuration = points.configuration, configuration
     try:
         points.locate()

@@ -10,9 +10,9 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm.body.acting import FACETS
+from dolfinmpm.body.formsigns import FACETS
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.counts import next_on
+from dolfinmpm.grid.serialnumbers import next_number
 
 if TYPE_CHECKING:
     from dolfinmpm.body.fields import PointField
@@ -46,7 +46,7 @@ class PointSymbols:
     """
 
     def __init__(self, grid: Mesh):
-        self.number, self.order = next(_numbers), next_on(grid, "points")
+        self.number, self.order = next(_numbers), next_number(grid, "points")
         domain = grid.ufl_domain()
         first, now = ({"points": self.number, "volume": volume} for volume in ("V0", "V"))
         self.dX = ufl.Measure("dc", domain=domain, metadata=first)

@@ -11,19 +11,20 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import check_same_call, collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     UnknownNameError,
     call_together,
 )
-from dolfinmpm._platform.together import meet, together
+from dolfinmpm._platform.html import listing
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.missingfields import no_field
 from dolfinmpm.body.pointsymbols import PointSymbols
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BUILT_IN", "PointTable"]
 
-# Fields that every point has, by their units; those of whole numbers are no functions in a form.
+# Units of the fields that every point has. Fields of whole numbers cannot stand in a form.
 BUILT_IN = {
     "x": "m",
     "x0": "m",
@@ -50,13 +51,13 @@ class PointTable:
 
     Args:
         grid: Background grid.
-        axisymmetric: Whether the body is one of revolution about x[0] = 0.
+        axisymmetric: Whether the body is axisymmetric about x[0] = 0.
 
     Attributes:
-        fields: Arrays by name; their rows are the points of this rank.
+        fields: Arrays by name, one row per point of this rank.
         symbols: Measures, constants and fields for UFL.
         total: Number of points on all ranks.
-        revision: How many times the rows of the arrays have changed.
+        revision: Number of changes of the rows of the arrays.
     """
 
     def __init__(self, grid: Mesh, axisymmetric: bool):
@@ -67,16 +68,16 @@ class PointTable:
         self.total = self.revision = self._next_id = 0
 
     def take_first(self, values: dict[str, npt.NDArray[Any]]) -> None:
-        """Take the first points: make the fields that every point has.
+        """Make the fields that every point has.
 
         Args:
-            values: Values of "id", "cell", "tag", "x", "V", "l" and "density" on this rank, each of
-                shape (n, ...).
+            values: Values of "id", "cell", "tag", "x", "V", "l" and "density" on this rank, shape
+                (n, ...).
         """
         n, e = len(values["x"]), self.strain_dim
         values |= {"x0": values["x"], "V0": values["V"], "l0": values["l"]}
         values |= {"F": np.broadcast_to(np.eye(e), (n, e, e)), "stress": np.zeros((n, 3, 3))}
-        # measure of strain of the last step, see kinematics.history
+        # strain formulation of the last step, see kinematics.strainhistory
         values["moved_under"] = np.zeros(n, np.int8)
         for name in ("id", "cell", "tag", "moved_under"):
             self.fields[name] = values[name]
@@ -98,7 +99,7 @@ class PointTable:
 
     @property
     def strain_dim(self) -> int:
-        """Dimension of the gradients' tensors, gdim or 3."""
+        """Dimension of deformation gradients, gdim or 3."""
         return 3 if self.axisymmetric else self.gdim
 
     # -- UFL's symbols --------------------------------------------------------
@@ -125,12 +126,12 @@ class PointTable:
 
     @property
     def dC(self) -> ufl.Measure:
-        """Measure over the whole of the active cells."""
+        """Measure over the whole active cells."""
         return self.symbols.dC
 
     @property
     def dt(self) -> fem.Constant:
-        """Time that the step's increments take (s), a constant for UFL."""
+        """Time of the step's increments (s), a constant for UFL."""
         return self.symbols.dt
 
     @property
@@ -154,34 +155,30 @@ class PointTable:
         return len(self.fields.read("id"))
 
     def recount(self) -> None:
-        """Note that rows of the arrays have come or gone. Collective.
-
-        Whoever replaces the arrays in `fields` by those of other points calls it.
-        """
+        """Count the points again after rows were added, removed or replaced. Collective."""
         ids = self.fields.read("id")
         self.total = self.comm.allreduce(len(ids), op=MPI.SUM)
         highest = self.comm.allreduce(int(ids.max(initial=-1)), op=MPI.MAX)
-        # a number is not given again when its point has been removed
+        # numbers of removed points are not used again
         self._next_id = max(self._next_id, highest + 1)
         self.revision += 1
 
     def add_field(
         self, name: str, shape: tuple[int, ...] = (), unit: str = "", value: Any = 0.0
     ) -> PointField:
-        """Add a field, or return the one of that name and shape. Collective if by a function.
+        """Add a field, or return the existing field. Collective if the value is a function.
 
         Args:
-            name: Its name.
-            shape: Shape of its value at one point.
-            unit: Its unit.
-            value: First value, one for all points, or a function of first positions (m), shape
-                (gdim, n), to shape (n, *shape). Points that join the body later without
-                this field have it too.
+            name: Name of the field.
+            shape: Shape of the value at one point.
+            unit: Unit.
+            value: First value of all points, or a function of first positions (m), shape
+                (gdim, n), that returns values of shape (n, *shape). Points that join the body
+                later get the first value too.
 
         Raises:
-            FieldShapeError: A field of that name, or the first value, has another shape.
-            ParameterError: The name cannot be one of a field, or a function does not give
-                first values.
+            FieldShapeError: The existing field, or the first value, has another shape.
+            ParameterError: The name is not possible, or a function does not return first values.
         """
         if not isinstance(name, str):
             raise ParameterError(f"name = {shown(name)} must be a word: it names a field")
@@ -202,7 +199,7 @@ class PointTable:
             given = callable(value) or bool(np.any(np.not_equal(value, 0.0)))
             if name in BUILT_IN and given:
                 raise ParameterError(
-                    f"all points have a field '{name}', and a first value would not be looked at: "
+                    f"all points have a field '{name}', and a first value would have no effect: "
                     f"set points['{name}'] = ..."
                 )
             return self.symbols.fields[name]
@@ -214,7 +211,7 @@ class PointTable:
             return field.first_values(self["x0"])
 
         if callable(value):
-            meet(self.comm, "MaterialPoints.add_field", name=name)
+            check_same_call(self.comm, "MaterialPoints.add_field", name=name)
         # a function may fail at the points of some ranks only
         values = call_together(self.comm, first) if callable(value) else first()
         self.fields[name] = values
@@ -222,7 +219,7 @@ class PointTable:
         return field
 
     def __getattr__(self, name: str) -> PointField:
-        # copies are asked before they have symbols
+        # a copy has no symbols at first
         known = self.__dict__["symbols"].fields if "symbols" in self.__dict__ else {}
         try:
             return known[name]
@@ -240,26 +237,25 @@ class PointTable:
             raise UnknownNameError(no_field(name, self.fields)) from None
 
     def __setitem__(self, name: str, values: npt.ArrayLike) -> None:
-        """Set a field's values on this rank; a single value is given to all points.
+        """Set a field's values on this rank; a single value is for all points.
 
-        What is impossible for the body, such as a negative density, ends the next step
-        on all ranks.
+        The next step checks the values, and raises on all ranks if a density is negative, say.
 
         Raises:
-            FieldShapeError: The array has the wrong shape.
-            ParameterError: Values are no numbers, or not whole where they must be.
+            FieldShapeError: The array has another shape.
+            ParameterError: Values are no numbers, or no whole numbers for such a field.
         """
         target = self[name]
         if name == "cell":
             raise ParameterError(
-                "'cell' is what the body itself keeps of its points; set their positions, "
-                "points['x'], and call points.locate()"
+                "'cell' cannot be set: it follows from the positions. Set points['x'], and call "
+                "points.locate()"
             )
         several = self.total if np.ndim(values) == 0 else len(self)
         if name == "id" and np.unique(values).size < several:
             raise ParameterError(
-                "'id' tells the points apart, and some would have the same; add a field of your "
-                "own, points.add_field"
+                "'id' identifies the points, and two points would have the same number; for other "
+                "numbers add a field, points.add_field"
             )
         given = np.asarray(values)
         if not np.can_cast(given.dtype, target.dtype, "same_kind"):
@@ -281,20 +277,21 @@ class PointTable:
             super().__setattr__(name, value)
 
     def placement(self, configuration: str = "updated") -> Placement:
-        """The points as a basis sees them.
+        """Positions and domains of the points for a basis.
 
         Args:
-            configuration: "updated" for where they are now, "total" for where they were at first.
+            configuration: "updated" for present positions, "total" for first positions.
         """
         x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
         size = section(self, volume, x)
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
-    @together
+    @collective
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
-        """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
+        """Fields of all ranks in the order of `id`, on rank 0; None on other ranks. Collective.
 
-        Collective: called on rank 0 alone it waits for the others.
+        Args:
+            names: Names of the fields.
         """
         pieces = self.comm.gather([self["id"], *(self[name] for name in names)], root=0)
         if pieces is None:
@@ -303,3 +300,31 @@ class PointTable:
         return tuple(
             np.concatenate([piece[k + 1] for piece in pieces])[order] for k in range(len(names))
         )
+
+    def _repr_html_(self) -> str:
+        """Number of points, dimension and fields with their units, for notebooks."""
+        units = {name: getattr(getattr(self, name, None), "unit", "") for name in self.fields}
+        fields = ", ".join(f"{name} ({unit})" if unit else name for name, unit in units.items())
+        here = {"points on this rank": len(self), "dimension": self.gdim, "fields": fields}
+        return listing(here, "material points")
+
+    @collective
+    def to_pyvista(self, *, deformed: bool = True) -> Any:
+        """The points as a mesh of PyVista, with their domains as cells. Collective.
+
+        All fields of the points and their displacement (m) are arrays of the cells; tensors have
+        nine components, or those that they have.
+
+        Args:
+            deformed: Whether cells are the first domains, deformed by F. Else they are boxes with
+                the half-lengths `l`.
+
+        Returns:
+            A `pyvista.UnstructuredGrid` of the points of all ranks on rank 0; None elsewhere.
+
+        Raises:
+            MissingPackageError: PyVista is not installed.
+        """
+        from dolfinmpm.body.pyvistamesh import of_points
+
+        return of_points(cast("MaterialPoints", self), deformed=deformed)

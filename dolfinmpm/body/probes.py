@@ -1,4 +1,4 @@
-"""What a place of a body does: mean values of the material points nearest to it."""
+"""Probes: values at a place of a body, as weighted means of the nearest material points."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     UnknownNameError,
     call_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.markerstate import keys_of
 from dolfinmpm.body.points import MaterialPoints
@@ -25,54 +25,67 @@ __all__ = ["Probe", "probe"]
 
 Array = npt.NDArray[np.float64]
 
-# Distances are equal to this share, and first positions to this share of a cell
+# Relative difference of equal distances; equal first positions differ by this share of a cell
 _SAME = 1e-7
-# Points are looked at in so many rows a direction, and within so many times the least distance
+# Rows of candidate points per direction, and radius of the candidates over the least distance
 _MOST, _WIDE = 5, 2.0
-# Share of the largest one below which a spread of the points is that of a single row
+# Ratio of the least to the largest spread of points below which the points form a single row
 _ROW = 0.2
-# Share of the largest one below which a square of the points' spread counts as none
+# Ratio of squared spreads below which the points have no spread in a direction
 _FLAT = 1e-12
-# Share of the largest distance at which a point is where the place is
+# Share of the largest distance below which a point is at the place
 _AT = 1e-6
 
 
-@together
+@collective
 def probe(points: MaterialPoints, place: npt.ArrayLike) -> Probe:
     """Follow a place of a body, such as the crest of a slope. Collective.
 
-    The material points nearest to the place are chosen now, 2^d of them or more, and keep their
-    weights for good: the place is their weighted mean, and a field that is linear in the positions
-    has its own value there, also at the edge of the body, beyond the points; at a point the place
-    is that point. They are the same on any number of ranks, and are followed wherever they go, from
-    rank to rank and over checkpoints.
+    The probe chooses the nearest material points, 2^d points or more, and keeps their weights. The
+    place is the weighted mean of the points' positions. Fields that are linear in the positions
+    have their exact value at the place, also at the edge of the body beyond the points. The points
+    do not depend on the number of ranks. The probe follows them from rank to rank, and over
+    checkpoints.
 
-    `history.record(crest=crest)` records its displacement, see `History`.
+    `history.record(crest=crest)` records the displacement of the place, see `History`.
 
     Args:
-        points: Material points, those of the problem.
-        place: Where it is now (m), shape (gdim,): in the body, or no further from the next point
-            than a cell.
+        points: Material points of the problem.
+        place: Present position (m), shape (gdim,): in the body, or within one cell of a point.
 
     Raises:
-        ParameterError: The points are none, the place is no position, no point is near, or the
-            ranks give different places.
+        ParameterError: `points` are no material points, the place is no position, no point is
+            near, or the ranks give different places.
+
+    A place between the points:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> crest = mpm.probe(points, (2.0, 2.0))
+    >>> down = mpm.fixed(V, "bottom") + mpm.prescribed(V, lambda x: x[1] > 1.5, 1, increment=-0.01)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, down).step()
+    >>> crest.displacement.round(4).tolist(), round(crest.settlement, 4)
+    ([0.0, -0.01], 0.01)
     """
     return Probe(points, place)
 
 
 class Probe:
-    """A place of a body, and what it does; made by `probe`.
+    """A place of a body, and values at the place; made by `probe`.
 
-    `crest["stress"]` is the mean value of any field of the points, the same on all ranks.
+    `crest["stress"]` is the weighted mean of a field of the points, the same on all ranks.
 
     Attributes:
         points: The material points.
-        place: Where it was when the probe was made (m), shape (gdim,).
-        weights: Weights of the nearest points, whose sum is 1, shape (k,).
+        place: Position at which the probe was made (m), shape (gdim,).
+        weights: Weights of the nearest points, with the sum 1, shape (k,).
     """
 
-    @together
+    @collective
     def __init__(self, points: MaterialPoints, place: npt.ArrayLike):
         check_points(points)
         self.points = points
@@ -96,7 +109,7 @@ class Probe:
                 "m): give a place in the body, or at its edge"
             )
         chosen = _chosen(d, x, least, 2**points.gdim, most)
-        # in an order that does not depend on the ranks
+        # the order must not depend on the number of ranks
         chosen = chosen[np.argsort(keys_of(x0[chosen]))]
         self.weights = _weights(x[chosen] - self.place)
         self._x0, self._id = x0[chosen], number[chosen]
@@ -106,12 +119,12 @@ class Probe:
         self._slots: list[int] = []
 
     def _locate(self) -> None:
-        """Find which of the points are on this rank."""
+        """Find the probe's points on this rank."""
         points = self.points
         seen = points.revision, points.restored
         if seen == self._seen:
             return
-        # a checkpoint of another number of ranks numbers the points otherwise
+        # a checkpoint from another number of ranks has other numbers of points
         by_place = points.restored != self._seen[1]
         ids, x0 = points.fields.read("id"), points.fields.read("x0")
         slots: list[int] = []
@@ -136,7 +149,7 @@ class Probe:
             values: Shape (points on this rank, ...).
 
         Raises:
-            ParameterError: Points are gone.
+            ParameterError: Points of the probe have been removed.
         """
         self._locate()
         comm, k, shape = self.points.comm, len(self._x0), values.shape[1:]
@@ -145,47 +158,47 @@ class Probe:
         table[self._slots, :size] = values[self._rows].reshape(len(self._rows), size)
         table[self._slots, size] = 1.0
         table[self._slots, size + 1] = self.points.fields.read("id")[self._rows]
-        # every row is of one rank: no sum depends on how many there are
+        # only one rank adds to a row: the sum does not depend on the number of ranks
         comm.Allreduce(MPI.IN_PLACE, table, op=MPI.SUM)
         gone = np.flatnonzero(table[:, size] != 1.0)
         if gone.size:
             raise ParameterError(
-                f"{gone.size} of the {k} material points that {self} follows are gone, the first "
-                f"was at {self._x0[gone[0]].tolist()} m at first: points have been removed; make a "
-                "new probe of those that are left"
+                f"{gone.size} of the {k} material points that {self} follows are gone; the first "
+                f"of them has the first position {self._x0[gone[0]].tolist()} m. Points have been "
+                "removed: make a new probe"
             )
         self._id = table[:, size + 1].astype(np.int64)
         self._seen = self._seen[0], self.points.restored
         return np.asarray(np.tensordot(self.weights, table[:, :size], 1).reshape(shape))
 
     @property
-    @together
+    @collective
     def position(self) -> Array:
-        """Where the place is now (m), shape (gdim,). Collective."""
+        """Present position of the place (m), shape (gdim,). Collective."""
         return self._means(self.points.fields.read("x"))
 
     @property
-    @together
+    @collective
     def displacement(self) -> Array:
-        """How far it has moved since the body was made (m), shape (gdim,). Collective."""
+        """Total displacement of the place (m), shape (gdim,). Collective."""
         fields = self.points.fields
         return self._means(fields.read("x") - fields.read("x0"))
 
     @property
-    @together
+    @collective
     def settlement(self) -> float:
-        """How far it has gone down since the body was made, along the last axis (m). Collective."""
-        # not −0 of what has not moved
+        """Total displacement against the last axis (m), positive downwards. Collective."""
+        # 0 and not −0 without a displacement
         return 0.0 - float(self.displacement[-1])
 
-    @together
+    @collective
     def __getitem__(self, name: str) -> Any:
         """Mean value of a field of the points, with the field's shape. Collective.
 
         Raises:
             UnknownNameError: The points have no such field.
-            FieldShapeError: It is of whole numbers, which have no means.
-            ParameterError: Points of the place have been removed.
+            FieldShapeError: The field has whole numbers, which have no means.
+            ParameterError: Points of the probe have been removed.
         """
         fields = self.points.fields
         if name not in fields:
@@ -221,14 +234,15 @@ def _position(points: MaterialPoints, place: Any) -> Array:
 
 
 def _chosen(d: Array, x: Array, least: float, count: int, most: int) -> npt.NDArray[np.intp]:
-    """Which points tell where the place goes: the nearest ones that do not stand in one row.
+    """The nearest points that do not form a single row.
 
     Args:
         d: Distances of the points from the place (m), shape (n,).
-        x: The points (m), shape (n, gdim).
-        least: The least distance (m): further out more points are taken, or weights were large.
-        count: How many points are taken at least.
-        most: ... and at most, or `count` if all of them stand in a row.
+        x: Positions of the points (m), shape (n, gdim).
+        least: The least distance (m). A distant place takes more points, so that weights stay
+            small.
+        count: Least number of points.
+        most: Largest number of points; `count` is used if all points form a row.
     """
     ordered = np.sort(d)
     first: npt.NDArray[np.intp] | None = None
@@ -244,14 +258,14 @@ def _chosen(d: Array, x: Array, least: float, count: int, most: int) -> npt.NDAr
 
 
 def _weights(r: Array) -> Array:
-    """Weights whose sum is 1 and whose mean position is the origin, shape (k,).
+    """Weights with the sum 1 and the mean position 0, shape (k,).
 
-    Those of least squares over the squares of the distances, so that the value at a point is its
-    own. Across directions in which the points do not differ, as those of a single row, the mean
-    position is theirs.
+    The weights are from least squares, weighted by the inverse square of the distance. At a point,
+    the result is therefore the value of the point. In a direction without spread, as across a
+    single row, the mean position is the position of the points.
 
     Args:
-        r: Positions of the points from the place (m), shape (k, d).
+        r: Positions of the points relative to the place (m), shape (k, d).
     """
     square = np.sum(r**2, axis=1)
     near = 1.0 / (square / square.max(initial=0.0) + _AT**2) if square.any() else np.ones(len(r))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_function, coordinates, number
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import in_radians
 
@@ -19,22 +19,22 @@ Array = npt.NDArray[np.float64]
 
 
 class Shape:
-    """A region of space, the base of all; make one of your own with `Where`.
+    """A region of space, the base class of all shapes; see `Where` for a region by a function.
 
     Args:
         contains: Function of positions (m), shape (n, gdim), that returns n booleans.
-        low: Lower corner (m) of a box around the shape, or None if unknown.
-        high: Upper corner (m), likewise.
+        low: Lower corner of a box around the shape (m), shape (gdim,), or None if not known.
+        high: Upper corner of this box (m), shape (gdim,), or None if not known.
 
-    Shapes join with `|`, overlap with `&` and are cut with `-`:
+    `|` is the union of two shapes, `&` the intersection, and `-` the difference:
 
     >>> plate = Box((0, 0), (4, 2)) - Box((1, 0.5), (3, 1.5))
     >>> plate.contains(np.array([[0.5, 1.0], [2.0, 1.0]])).tolist()
     [True, False]
 
     Attributes:
-        volume: Its volume (m^d), or None if unknown, as that of a combination is; it may be set.
-        centroid: Its centroid (m), shape (gdim,), likewise.
+        volume: Volume (m^d), or None if not known, as for combinations; it may be set.
+        centroid: Centroid (m), shape (gdim,), or None if not known; it may be set.
     """
 
     volume: float | None = None
@@ -56,7 +56,7 @@ class Shape:
         """Whether each position x (m), shape (n, gdim), is in the shape.
 
         Raises:
-            ParameterError: They are no positions of its space, or its function fails.
+            ParameterError: Positions have another dimension, or the shape's function fails.
         """
         x = coordinates("x", x)
         if x.ndim != 2:
@@ -128,6 +128,10 @@ class Box(Shape):
 
     Raises:
         ParameterError: A corner is not finite, or the upper one is not above the lower one.
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.Box((0, 0), (4, 2)).volume
+    8.0
     """
 
     def __init__(self, low: float | Sequence[float], high: float | Sequence[float]):
@@ -160,6 +164,11 @@ class TurnedBox(Shape):
 
     Warns:
         DegreesWarning: The angle looks like one in radians.
+
+    >>> import dolfinmpm as mpm
+    >>> block = mpm.TurnedBox((0, 0), (4, 2), angle=30)
+    >>> block.volume, block.centroid.tolist()
+    (8.0, [2.0, 1.0])
     """
 
     def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
@@ -197,6 +206,11 @@ class Ball(Shape):
 
     Raises:
         ParameterError: The radius is not positive, or the centre not finite.
+
+    >>> import dolfinmpm as mpm
+    >>> ball, disc = mpm.Ball((0, 0, 0), radius=1.0), mpm.Disc((0, 0), radius=1.0)
+    >>> round(ball.volume, 4), round(disc.volume, 4)
+    (4.1888, 3.1416)
     """
 
     def __init__(self, centre: float | Sequence[float], radius: float):
@@ -229,6 +243,11 @@ class Polygon(Shape):
     Raises:
         ParameterError: The corners are not of that shape or not finite, a corner occurs
             twice, two edges cross or touch, or there is no area.
+
+    >>> import dolfinmpm as mpm
+    >>> slope = mpm.Polygon([(0, 0), (6, 0), (6, 1), (4, 1), (2, 3), (0, 3)])
+    >>> slope.volume
+    12.0
     """
 
     def __init__(self, vertices: Sequence[Sequence[float]]):
@@ -303,12 +322,17 @@ def _check_simple(corners: Array) -> None:
 
 
 class Where(Shape):
-    """All positions for which a function holds.
+    """All positions at which a function is true.
 
     Args:
-        condition: Function of positions in DOLFINx's layout, shape (gdim, n), that
-            returns n booleans.
-        low, high: Corners (m) of a box around them, or None if unknown.
+        condition: Function of positions (m), shape (gdim, n), that returns n booleans.
+        low, high: Corners of a box around the positions (m), or None if not known.
+
+    >>> import dolfinmpm as mpm
+    >>> import numpy as np
+    >>> hill = mpm.Where(lambda x: x[1] < 1 + np.sin(x[0]))
+    >>> hill.contains(np.array([[1.0, 1.5], [4.0, 1.5]])).tolist()
+    [True, False]
     """
 
     def __init__(

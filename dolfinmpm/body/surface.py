@@ -1,15 +1,13 @@
 """Loads on faces of a body: tractions and follower pressures at material points.
 
-Material points are inside the body, its faces are not: a load that acts at the
-points instead of the face has the right force but a wrong moment. A point at a face
-therefore keeps the offset R of the face from its centre and the face's area vector
-A0 (area times outward normal), both as they are at first. Its own stencil then gives
-the motion of the face to first order, u(x_s) = u + ∇ũ·r with r = F_n R, which is
-also how far the point's own material reaches there.
+Material points are inside the body, and the faces of the body are not. A load at the points instead
+of the face would have the right force and a wrong moment. A point at a face therefore keeps the
+initial offset R of the face from its centre, and the initial area vector A0 of the face (area times
+outward normal). The point's stencil then gives the motion of the face to first order,
+u(x_s) = u + ∇ũ·r with r = F_n R.
 
-What acts on the body, a load here or the contact of a `RigidFooting`, is added to the internal
-forces, F = momentum(...) + surface.traction(t, v) + footing.contact(u, v); see
-`dolfinmpm.body.acting`.
+Loads are added to the internal forces, as is the contact of a `RigidFooting`:
+F = momentum(...) + surface.traction(t, v) + footing.contact(u, v); see `dolfinmpm.body.formsigns`.
 """
 
 from __future__ import annotations
@@ -24,7 +22,8 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -33,15 +32,14 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.loading import pressure_of, vector_of
+from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
-from dolfinmpm.grid.positions import choose
+from dolfinmpm.grid.userfunctions import choose
 
 __all__ = ["Surface"]
 
@@ -52,39 +50,51 @@ Where = Callable[[Array], npt.ArrayLike]
 class Surface:
     """Material points at a loaded face of a body, with the offset and the area of their faces.
 
-    Adds to the points, and so moves with them, the fields `<name>_offset` (m), from
-    the centre of a point to its face, and `<name>_area` (m^(d-1)), the area vector;
-    both as they were at first, and zero for points that are not at the face. A
-    point at an edge of the body may belong to several surfaces.
+    A surface adds two fields to the points: `<name>_offset` (m), from the centre of a point to its
+    face, and `<name>_area` (m^(d-1)), the area vector. Both have their initial values, and are zero
+    for points that are not at the face. A point at an edge of the body may belong to several
+    surfaces.
 
-    Faces of axisymmetric bodies go around the axis: their area is 2π r times the length of their
-    section, with r the radius of the centre of the face, and the forces of loads are those on the
-    whole body.
+    Faces of axisymmetric bodies go around the axis. Their area is 2π r times the length of their
+    section, with the radius r of the centre of the face. Forces are on the whole body.
 
     Args:
         points: Material points.
-        where: Function of the centres of the points' faces as they were at first (m),
-            shape (gdim, n), that returns n booleans; see `dolfinmpm.grid.positions`. The
-            faces are those of the points' domains, x0 + l0·n.
+        where: Function of the initial centres of the points' faces, x0 + l0·n (m), shape
+            (gdim, n), that returns n booleans; see `dolfinmpm.grid.userfunctions`.
         normal: Outward unit normal of the face: an axis of the grid, such as (0, 1).
         name: Name of the fields; `surface1`, `surface2`, ... by default.
 
     Attributes:
         points: The material points.
         name: Name of the surface.
-        normal: Its outward normal, shape (gdim,), or None where arrays were given.
-        total_area: Area at first (m^(d-1)), on all ranks.
+        normal: Outward normal, shape (gdim,), or None for a surface from arrays.
+        total_area: Initial area on all ranks (m^(d-1)).
         offset, area: The fields, for UFL.
 
     Raises:
-        ParameterError: The points, the place or the name is not what it may be, the normal
-            is not a unit axis, the name is taken, some of the faces lie inside the body, or
-            on the axis of an axisymmetric one.
-        EmptyShapeError: No face lies there.
+        ParameterError: An argument is not valid, the name is taken, or the normal is no unit axis;
+            or faces lie inside the body, or on the axis of an axisymmetric body.
+        EmptyShapeError: No face is at the given position.
         UnsupportedGridError: The grid is not rectangular.
+
+    A pressure of 10 kPa on the top of a block:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> top = mpm.Surface(points, lambda x: x[1] > 1.9, normal=(0, 1))
+    >>> F += top.pressure(10e3, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    >>> record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    >>> top.total_area, top.mean_displacement().round(4).tolist()
+    (4.0, [0.0, -0.0147])
     """
 
-    @together
+    @collective
     def __init__(
         self,
         points: MaterialPoints,
@@ -128,7 +138,7 @@ class Surface:
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
 
     @classmethod
-    @together(own=("offset", "area"))
+    @collective(local=("offset", "area"))
     def from_arrays(
         cls,
         points: MaterialPoints,
@@ -137,14 +147,15 @@ class Surface:
         *,
         name: str | None = None,
     ) -> Surface:
-        """A surface of any shape, its offsets and areas given point by point. Collective.
+        """A surface of any shape, from offsets and areas at the points. Collective.
 
         Args:
             points: Material points.
-            offset: From the points' centres to their faces, as at first (m), shape
-                (points on this rank, gdim).
-            area: Area times outward unit normal, as at first (m^(d-1)), likewise; zero
-                for points that are not at the face. Of axisymmetric bodies the whole area (m²).
+            offset: Initial offset from each point's centre to its face (m), shape (points on this
+                rank, gdim).
+            area: Initial area times outward unit normal (m^(d-1)), shape (points on this rank,
+                gdim); zero for points that are not at the face. For axisymmetric bodies, the area
+                around the axis (m²).
             name: Name of the fields.
 
         Raises:
@@ -177,7 +188,7 @@ class Surface:
 
     def _set(self, points: MaterialPoints, R: Array, A: Array, name, normal) -> None:
         if name is None:
-            # by number, so that the same problem built again has the same fields
+            # numbers give the same fields if the same problem is built again
             names = (f"surface{k}" for k in itertools.count(1))
             name = next(one for one in names if f"{one}_area" not in points.fields)
         if not isinstance(name, str) or not name.isidentifier():
@@ -197,26 +208,26 @@ class Surface:
     def _sizes(self) -> Array:
         return np.linalg.norm(self.points[self.area.name], axis=1)
 
-    # -- of UFL ---------------------------------------------------------------
+    # -- UFL ------------------------------------------------------------------
 
     @property
     def density(self) -> Expr:
         """Area of the face per initial volume of its point (1/m), a field for UFL.
 
-        Its integral over `points.dX` is the area of the surface at first.
+        Its integral over `points.dX` is the initial area of the surface.
         """
         return ufl.sqrt(ufl.dot(self.area, self.area)) / self.points.V0
 
     @property
     def _reach(self) -> Expr:
-        """From the centres of the points to their faces at the start of the step, F_n R (m)."""
+        """Offset from the points' centres to their faces at the start of the step, F_n R (m)."""
         return ufl.dot(in_section(self.points, self.points.F), self.offset)
 
     def at(self, w) -> Expr:
         """An increment or a test function at the face: w + ∇w·F_n R.
 
         Raises:
-            ParameterError: w is no field of UFL.
+            ParameterError: w is no UFL expression.
         """
         if not isinstance(w, Expr):
             raise ParameterError(
@@ -225,56 +236,56 @@ class Surface:
         return w + ufl.dot(ufl.grad(w), self._reach)
 
     def position(self, u=None) -> Expr:
-        """Position of the face (m) at the start of the step, or under the increment u."""
+        """Position of the face (m) at the start of the step, or after the increment u."""
         start = self.points.x + self._reach
         return start if u is None else start + self.at(u)
 
     def traction(self, t, v) -> ufl.Form:
-        """Dead traction, to be added: −∫ t·v(x_s) dA0.
+        """Form of a dead traction, −∫ t·v(x_s) dA0; add it to the weak form.
 
         Args:
-            t: Force per area at first (Pa), a vector: a DOLFINx constant, or any UFL
-                expression that has values at the points.
+            t: Force per initial area (Pa), a vector, shape (gdim,): a DOLFINx constant, or a UFL
+                expression with values at the points.
             v: Test function, `Space.test`.
 
         Raises:
-            ParameterError: The traction is no vector of the dimension of space, or v no
-                test function.
+            ParameterError: t is no such vector, or v is no test function.
         """
         t = vector_of(self.points, "traction", t)
         return self.term(t, v, f"the traction on '{self.name}'")
 
     def term(self, t: Expr, v, name: str, once: bool = False) -> ufl.Form:
-        """A traction under a name that messages use, to be added; see `traction`.
+        """Form of a traction with a name for messages; see `traction`.
 
         Args:
-            t: Force per area at first (Pa), a vector of UFL.
+            t: Force per initial area (Pa), a vector for UFL.
             v: Test function, `Space.test`.
-            name: What acts.
-            once: Whether a form may have it once only.
+            name: Name of the load.
+            once: Whether a weak form may contain the form only once.
         """
         check_displacement(self.points, v=v)
-        return acting(-self.density * ufl.dot(t, self.at(v)), self.points.dX, name, once)
+        return signed_form(-self.density * ufl.dot(t, self.at(v)), self.points.dX, name, once)
 
     def force(self, P, v) -> ufl.Form:
-        """Dead force that is spread evenly, to be added.
+        """Form of a dead force, spread evenly over the surface; add it to the weak form.
 
         Args:
-            P: Force (N; N/m in plane strain), a vector like that of `traction`.
+            P: Force (N; N/m in plane strain), a vector as for `traction`.
             v: Test function, `Space.test`.
         """
         t = vector_of(self.points, "force", P) / self._total
         return self.term(t, v, f"the force on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
-        """Pressure that follows the face, to be added.
+        """Form of a pressure that follows the face; add it to the weak form.
 
-        ∫ p J F⁻ᵀ A0 · v(x_s) with F = (I + ∇ũ) F_n, by Nanson's formula. The tangent is
-        derived from it, that of the load included. The hoop stretch of a ring is that of the face.
+        The form is ∫ p J F⁻ᵀ A0 · v(x_s) with F = (I + ∇ũ) F_n, by Nanson's formula. UFL derives
+        its consistent tangent. For axisymmetric bodies, the hoop stretch is the stretch of the
+        face.
 
         Args:
-            p: Pressure on the face as it is now (Pa), positive towards the body: a DOLFINx
-                constant or a scalar UFL expression, which `position` may enter.
+            p: Pressure per present area (Pa), positive towards the body: a DOLFINx constant or a
+                scalar UFL expression, which may contain `position`.
             u: Increment of the step, `Space.increment`.
             v: Test function, `Space.test`.
         """
@@ -287,15 +298,15 @@ class Surface:
         if points.axisymmetric:
             face *= self.position(u)[0] / (points.x0 + self.offset)[0]
         work = p * ufl.dot(face, self.at(v)) / points.V0
-        return acting(work, points.dX, f"the pressure on '{self.name}'")
+        return signed_form(work, points.dX, f"the pressure on '{self.name}'")
 
     def mean(self, direction, w) -> ufl.Form:
         """Mean over the initial area of w(x_s) · direction, a form linear in w.
 
-        With a test function it is what `ArcLength` takes as control.
+        With a test function, `ArcLength` takes the form as its control.
 
         Args:
-            direction: A vector: numbers, or a UFL expression.
+            direction: Vector, shape (gdim,): numbers, or a UFL expression.
             w: Test function, `Space.test`.
         """
         along = ufl.dot(vector_of(self.points, "direction", direction), self.at(w))
@@ -305,22 +316,22 @@ class Surface:
         """Mean over the initial area of w(x_s) along the outward normal; see `mean`."""
         return ufl.dot(self.area, self.at(w)) / (self._total * self.points.V0) * self.points.dX
 
-    # -- of numbers -----------------------------------------------------------
+    # -- results --------------------------------------------------------------
 
     def displacements(self) -> Array:
-        """Displacements of the faces since the first (m), shape (points on this rank, gdim)."""
+        """Total displacements of the faces (m), shape (points on this rank, gdim)."""
         points, R = self.points, self.points[self.offset.name]
         moved = np.einsum("pij,pj->pi", in_section(points, points["F"]), R) - R
         return points["x"] - points["x0"] + moved
 
-    @together
+    @collective
     def mean_displacement(self) -> Array:
         """Mean displacement over the initial area (m), shape (gdim,). Collective."""
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area
 
 
 def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
-    """An error if chosen faces of axisymmetric bodies, at these centres, lie on the axis."""
+    """Error if faces of an axisymmetric body with these centres lie on the axis, or None."""
     radius = faces[:, 0]
     bad = np.flatnonzero(chosen & ~(radius > 1e-9 * points["x0"][:, 0]))
     if not bad.size:

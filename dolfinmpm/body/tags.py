@@ -10,7 +10,7 @@ import numpy as np
 from dolfinmpm._platform.errors import ParameterError
 
 if TYPE_CHECKING:
-    from dolfinmpm._platform.checks import Tags
+    from dolfinmpm._platform.argumentchecks import Tags
     from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["check_in_use", "in_order", "tags_in_use"]

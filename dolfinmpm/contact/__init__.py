@@ -1,9 +1,9 @@
 """Rigid bodies, material points that touch them, and bodies that touch each other."""
 
-from dolfinmpm.contact.between import contact_between
-from dolfinmpm.contact.contactterm import contact
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.rigidbody import RigidBody
+from dolfinmpm.contact.rigidcontact import contact
+from dolfinmpm.contact.rigidshapes import Cone, Plane, Wedge
 from dolfinmpm.contact.springbed import springs
-from dolfinmpm.contact.tools import Cone, Plane, Wedge
+from dolfinmpm.contact.twobodycontact import contact_between
 
 __all__ = ["Cone", "Plane", "RigidBody", "Wedge", "contact", "contact_between", "springs"]

@@ -1,16 +1,17 @@
 """Contact points of a body of material points: corners of the points' domains or of marked faces.
 
 A corner is a quadrature point of contact, with its own stencil. There are two kinds of corners.
-Corners of domains are at x ± l, where a basis averages over the domains (GIMP, averaged splines).
-Corners of the material are at x + F R with R = ±l0, and turn and shear with the points. Then
-neighbours share their corners when a body bends, and a bent surface has no steps. In large shear a
-corner of the material is far from its point. Bases without domains have corners of the material. In
-quasi-static steps `Space(domains="volume")` and "fixed" give them corners at x ± l too, for flow.
+Corners of domains are at x ± l, where l grows as `Space(domains=...)` says. Corners of the material
+are at x + F R with R = ±l0, and turn and shear with the points. Then neighbours share their corners
+when a body bends, and a bent surface has no steps. In large shear a corner of the material is far
+from its point. Bases without domains have corners of the material, unless `Space(domains=...)` is
+the rule for flow, "volume" or "fixed", in static steps.
 
 If the basis has domains, a corner uses the functions at its position, in a cell that the domain
 overlaps. Its nodes are nodes of its point. So contact makes no further nodes active and adds no
 couplings. With other bases a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In
-steps in time every corner moves with its point's new state, see `dolfinmpm.contact.motions`.
+steps in time every corner moves with its point's new state, see
+`dolfinmpm.contact.contactstencils`.
 
 If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
 touches with its middle.
@@ -29,16 +30,20 @@ import numpy.typing as npt
 import scipy
 
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.incells import values_in_cells
+from dolfinmpm.basis.singlecellvalues import values_in_cells
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
-from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.motions import Mixed, Plain, Seen, growth_by_gradient
-from dolfinmpm.cut.participants import ActiveField, Basis
+from dolfinmpm.contact.contactstencils import (
+    ContactStencils,
+    growth_by_gradient,
+    stencil_matrix,
+)
+from dolfinmpm.cut.activation import ActiveField, Basis
 
-__all__ = ["Corners", "Sight", "Sites", "corner_count", "longest", "stencil_matrix"]
+__all__ = ["ALL", "CornerLayout", "Corners", "DisplacementBasis", "corner_count", "longest"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
@@ -65,37 +70,22 @@ class Corners:
         rows: Point of each corner, shape (m,).
         which: Number of each corner at its point, shape (m,).
         x: Positions at the start of the step (m), shape (m, gdim).
-        nodes: Nodes in the stencils of the corners, shape (k,).
-        seen: Stencils of the corners on these nodes.
+        stencils: Stencils of the corners.
     """
 
     rows: Rows
     which: Rows
     x: Array
-    nodes: npt.NDArray[np.int32]
-    seen: Plain | Mixed
-
-    def displacement(self, u: Array) -> Array:
-        """Displacements of the corners (m), shape (m, gdim), from nodal ones."""
-        return self.seen.displacement(u[self.nodes])
-
-    def add(self, forces: Array, out: Array) -> None:
-        """Add forces on the corners, shape (m, gdim, ...), to nodal ones."""
-        out[self.nodes] += self.seen.nodal(forces)
-
-    def entries(self) -> Seen:
-        """Stencils of the corners as rows of a sparse matrix; see `Seen`."""
-        start, nodes, weights = self.seen.entries()
-        return start, self.nodes[nodes], weights
+    stencils: ContactStencils
 
 
 @dataclass(frozen=True)
-class Sight:
-    """The functions of a displacement for corners.
+class DisplacementBasis:
+    """The basis functions of a displacement for corners.
 
     Attributes:
         basis: Basis of the displacement.
-        total: Whether stencils are those at first positions.
+        total: Whether stencils are those at initial positions.
         C: Prolongation from the independent nodes to all nodes, or None.
         stencils: Function from rows of points to their stencils, with points numbered from 0.
         place: Row of each node of the basis in nodal forces, shape (nodes,); None for the same
@@ -119,8 +109,15 @@ class Sight:
         return self.basis.nodes.size if self.C is None else self.C.shape[1]
 
     @staticmethod
-    def of(field: ActiveField, total: bool, count: int, in_time: bool = False) -> Sight:
-        """The functions of an active field for a number of points, in steps in time or others."""
+    def of(field: ActiveField, total: bool, count: int, in_time: bool = False) -> DisplacementBasis:
+        """The basis functions of an active field.
+
+        Args:
+            field: The field.
+            total: See the attribute.
+            count: Number of material points.
+            in_time: Whether steps are in time.
+        """
 
         def stencils(rows: Rows) -> Stencils:
             chosen = np.zeros(count, bool)
@@ -130,15 +127,15 @@ class Sight:
 
         rule = field.space.domains
         growth = rule if in_time else None
-        return Sight(field.basis, total, field.C, stencils, growth=growth, domains=rule)
+        return DisplacementBasis(field.basis, total, field.C, stencils, growth=growth, domains=rule)
 
 
-class Sites:
-    """Contact points of a body.
+class CornerLayout:
+    """Where the corners of a body are, and how they move.
 
     Args:
         points: Material points.
-        sight: The functions of the displacement.
+        displacement: The basis functions of the displacement.
         surface: Marked faces, or None for all corners.
         material: True if corners follow the points' material, False if they follow the domains.
 
@@ -148,21 +145,25 @@ class Sites:
     """
 
     def __init__(
-        self, points: MaterialPoints, sight: Sight, surface: Surface | None, material: bool
-    ):
-        self._points, self._sight = points, sight
+        self, points: MaterialPoints, displacement: DisplacementBasis, surface: Surface | None,
+        material: bool,
+    ):  # fmt: skip
+        self._points, self._displacement = points, displacement
         self._surface = surface
         self._F: Array = in_section(points, points["F"])
-        self._middles = surface is not None and surface.normal is None
+        self._by_middle = surface is not None and surface.normal is None
         # whether corners use the functions at their positions, and whether domains give positions
-        placed = not (self._middles or sight.total) and sight.basis.averaged
+        placed = not (self._by_middle or displacement.total) and displacement.basis.averaged
         self.boxes = placed and not material
-        self._placed = placed and sight.growth is None
-        # material that flows leads its corners away from where its volume is
-        own = surface is None and not (material or sight.total or sight.basis.averaged)
-        self._beside = own and sight.growth is None and sight.domains != "stretch"
+        self._by_cell = placed and displacement.growth is None
+        # corners of material that shears without bound move away from its volume
+        own = surface is None and not (
+            material or displacement.total or displacement.basis.averaged
+        )
+        flows = displacement.domains != "stretch"
+        self._beside = own and flows and displacement.growth is None
         signs = _signs(points.gdim)
-        self.which: Rows = np.arange(1 if self._middles else len(signs))
+        self.which: Rows = np.arange(1 if self._by_middle else len(signs))
         if surface is not None and surface.normal is not None:
             self.which = np.flatnonzero(signs @ surface.normal > 0)
 
@@ -174,7 +175,7 @@ class Sites:
         F = self._F[rows]
         size = np.sqrt(np.einsum("pij,pij->p", F, F))
         R = points["l0"]
-        if self._surface is not None and self._middles:
+        if self._surface is not None and self._by_middle:
             R = points[self._surface.offset.name]
         return size * _length(R[rows])
 
@@ -223,35 +224,31 @@ class Sites:
         each = np.repeat(rows, self.which.size)
         x: Array
         how: Any  # cells of functions, or offsets
-        if self._placed:
-            x, how = self._in_place(rows)
+        if self._by_cell:
+            x, how = self._cell_positions(rows)
         elif self.boxes:
             how = _signs(points.gdim)[which]
             x = points["x"][each] + how * points["l"][each]
         else:
-            x, how = self._of_material(each, which)
+            x, how = self._material_positions(each, which)
         k = kept(x)
         each, which, x, how = each[k], which[k], x[k], how[k]
-        grows = self.boxes and not self._placed
         M: Any
-        if self._placed:
-            M = self._seen_in(x, how)
+        if self._by_cell:
+            M = self._matrix_in_cells(x, how)
+        elif self.boxes:
+            M = self._matrix_of_growth(each, how)
         else:
-            M = self._seen_with(each, how) if grows else self._seen_from(each, how)
-        # a table of all nodes is cheaper than sorting the nodes of all corners
-        seen = np.zeros(self._sight.columns, np.int32)
-        seen[M.indices] = 1
-        nodes: npt.NDArray[np.int32] = np.flatnonzero(seen).astype(np.int32)
-        seen[nodes] = np.arange(nodes.size)
-        kind = Mixed if grows else Plain
-        found = kind(M.indptr, seen[M.indices], M.data, nodes.size)
-        if self._sight.place is not None:
-            nodes = self._sight.place[nodes]
-        return Corners(each, which, x, nodes, found)
+            M = self._matrix_by_gradient(each, how)
+        stencils = ContactStencils.of(M, self._displacement.columns)
+        place = self._displacement.place
+        if place is not None:
+            stencils = replace(stencils, nodes=place[stencils.nodes])
+        return Corners(each, which, x, stencils)
 
-    def _in_place(self, rows: Rows) -> tuple[Array, Rows]:
+    def _cell_positions(self, rows: Rows) -> tuple[Array, Rows]:
         """Positions of corners, and their cells for functions, in the halo's tables."""
-        basis = self._sight.basis
+        basis = self._displacement.basis
         assert isinstance(basis, LatticeBasis)
         points = self._points
         x, half = points["x"][rows], points["l"][rows]
@@ -269,9 +266,9 @@ class Sites:
         cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
         return at.reshape(-1, points.gdim), cell.reshape(-1, points.gdim)
 
-    def _seen_in(self, x: Array, cell: Rows) -> scipy.sparse.csr_matrix:
+    def _matrix_in_cells(self, x: Array, cell: Rows) -> scipy.sparse.csr_matrix:
         """Stencils of corners from the functions of given cells."""
-        basis, C = self._sight.basis, self._sight.C
+        basis, C = self._displacement.basis, self._displacement.C
         assert isinstance(basis, LatticeBasis)
         found = values_in_cells(basis, x, np.ascontiguousarray(cell, np.int32))
         # the points' own stencils have nodes in these cells
@@ -282,32 +279,32 @@ class Sites:
         N = scipy.sparse.csr_matrix((values.ravel(), nodes.ravel(), start), shape=shape)
         return N if C is None else scipy.sparse.csr_matrix(N @ C)
 
-    def _of_material(self, each: Rows, which: Rows) -> tuple[Array, Array]:
+    def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and offsets from their points for motion by the gradients."""
         points = self._points
         if self._beside:
-            half = update_domains(self._F[each], points["l0"][each], self._sight.domains)
+            half = update_domains(self._F[each], points["l0"][each], self._displacement.domains)
             r = _signs(points.gdim)[which] * half
             return points["x"][each] + r, r
-        if self._surface is not None and self._middles:
+        if self._surface is not None and self._by_middle:
             R = points[self._surface.offset.name][each]
         else:
             R = _signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)
-        # gradients at first positions need initial offsets
-        return points["x"][each] + r, R if self._sight.total else r
+        # gradients at initial positions need initial offsets
+        return points["x"][each] + r, R if self._displacement.total else r
 
-    def _seen_from(self, each: Rows, along: Array) -> scipy.sparse.csr_matrix:
+    def _matrix_by_gradient(self, each: Rows, along: Array) -> scipy.sparse.csr_matrix:
         """Stencils of corners from the stencils of their points, continued by the gradient."""
         N, *dN = self._stencils(each)[2:]
         data = N.data.copy()
         for k, part in enumerate(dN):
             data += np.repeat(along[:, k], np.diff(N.indptr)) * part.data
-        return self._behind_ties(N, data)
+        return self._prolonged(N, data)
 
-    def _seen_with(self, each: Rows, signs: Array) -> scipy.sparse.bsr_matrix:
+    def _matrix_of_growth(self, each: Rows, signs: Array) -> scipy.sparse.bsr_matrix:
         """Stencils of corners of domains that grow with their points' gradients."""
-        d, points, growth = self._points.gdim, self._points, self._sight.growth
+        d, points, growth = self._points.gdim, self._points, self._displacement.growth
         assert growth is not None
         rows, own, N, *dN = self._stencils(each)
         T = growth_by_gradient(self._F[rows], points["l0"][rows], growth)
@@ -316,18 +313,19 @@ class Sites:
         W = N.data[:, None, None] * np.eye(d)
         for k, part in enumerate(dN):
             W += np.repeat(T[:, :, :, k], length, axis=0) * part.data[:, None, None]
-        return self._behind_ties(N, W)
+        return self._prolonged(N, W)
 
     def _stencils(self, each: Rows) -> list[Any]:
         """The distinct points, the point of each corner, and N and ∂N/∂x_k in one pattern."""
         rows, own = np.unique(each, return_inverse=True)
-        s, shape = self._sight.stencils(rows), (rows.size, self._sight.basis.nodes.size)
+        s = self._displacement.stencils(rows)
+        shape = rows.size, self._displacement.basis.nodes.size
         values = [s.N, *s.dN.T]
         return [rows, own, *(stencil_matrix(s, v, shape)[own] for v in values)]
 
-    def _behind_ties(self, N: scipy.sparse.csr_matrix, data: Array) -> Any:
+    def _prolonged(self, N: scipy.sparse.csr_matrix, data: Array) -> Any:
         """A matrix of N's pattern on the independent nodes, with numbers or blocks."""
-        C, d = self._sight.C, self._points.gdim
+        C, d = self._displacement.C, self._points.gdim
         if data.ndim == 1:
             M = scipy.sparse.csr_matrix((data, N.indices, N.indptr), shape=N.shape)
             return M if C is None else scipy.sparse.csr_matrix(M @ C)
@@ -349,23 +347,3 @@ def longest(half: Array) -> Array:
 def _length(v: Array) -> Array:
     """Length of each row, shape (n,), from (n, d)."""
     return np.sqrt(functools.reduce(np.add, (v * v).T))
-
-
-def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
-    """Stencils as a matrix.
-
-    Args:
-        s: Stencils.
-        values: N, or one direction of ∇N.
-        shape: Number of points and of nodes.
-    """
-    m = np.diff(s.node_start).astype(np.int64)
-    number = np.diff(s.groups).astype(np.int64)
-    of = np.repeat(np.arange(m.size), number)
-    length = m[of]
-    rows = np.repeat(s.order, length)
-    first = np.repeat(s.node_start[:-1][of].astype(np.int64), length)
-    begin = np.cumsum(length) - length
-    at = first + np.arange(rows.size) - np.repeat(begin, length)
-    columns = s.nodes[at]
-    return scipy.sparse.csr_matrix((values, (rows, columns)), shape=shape)

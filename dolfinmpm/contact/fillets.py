@@ -1,8 +1,8 @@
-"""Sharp edges of closed surface meshes made round.
+"""Fillets: round convex edges of closed surface meshes.
 
-All that is within a radius r of a core is the body with its convex edges rounded by r, if the
-core's faces lie r behind the body's. A corner of the mesh is moved to where the planes of its
-facets are then: n·δ = −r for each of their normals n. Edges that are concave stay as they are.
+The rounded body contains all positions within the radius r of a core. The faces of the core lie r
+behind the faces of the body. So each corner of the mesh moves by δ, with n·δ = −r for the normals n
+of its facets. Concave edges stay sharp.
 """
 
 from __future__ import annotations
@@ -10,29 +10,29 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.facets import Facets, facet_normals
+from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
 from dolfinmpm.contact.surfaces import Rounded
 
 __all__ = ["filleted"]
 
 Array = npt.NDArray[np.float64]
 
-# Share of the radius by which a corner's planes may miss each other when they are moved
+# Largest distance between the moved planes of a corner, as a share of the radius
 _MISS = 0.05
 
 
-def filleted(mesh: Facets, radius: float) -> Rounded:
-    """A mesh with its convex edges rounded; it stays within its shape.
+def filleted(mesh: FacetedSurface, radius: float) -> Rounded:
+    """A mesh with rounded convex edges, inside the shape of the mesh.
 
     Args:
         mesh: The closed surface.
         radius: Radius (m).
 
     Raises:
-        ParameterError: The radius is too large for an edge or a wall of the body, or the planes of
-            more than three faces that meet at a corner do not do so when they are moved.
+        ParameterError: The radius is too large for an edge or a wall of the body. Or the moved
+            planes of more than three faces at a corner have no common point.
     """
     normals = facet_normals(mesh.x, mesh.facets)
     size = np.linalg.norm(normals, axis=1)
@@ -44,7 +44,7 @@ def filleted(mesh: Facets, radius: float) -> Rounded:
     core = mesh.x.copy()
     for place, rows in zip(places, np.split(of[order], first[1:])):
         n = unit[rows]
-        # planes of one direction are one plane, for small angles between them to be rounding
+        # planes with almost equal normals count as one plane: small angles are rounding
         shift = np.linalg.lstsq(n, np.full(len(n), -radius), rcond=1e-6)[0]
         miss = float(np.abs(n @ shift + radius).max())
         if miss > _MISS * radius:
@@ -56,15 +56,15 @@ def filleted(mesh: Facets, radius: float) -> Rounded:
         core[place] += shift
     moved = facet_normals(core, mesh.facets)
     turned = np.sum(moved * unit, axis=1) <= 1e-6 * size
-    # a facet that is turned twice looks outwards again, but its edges run the other way
+    # a facet that turned twice has an outward normal again, but reversed edges
     for k in range(mesh.gdim):
         before, now = (x[mesh.facets[:, k]] - x[mesh.facets[:, k - 1]] for x in (mesh.x, core))
         turned |= np.sum(before * now, axis=1) <= 0.0
     if turned.any():
         worst = int(np.flatnonzero(turned)[0])
         raise ParameterError(
-            f"fillet = {radius:g} m is too large: it takes away whole facets, such as facet "
+            f"fillet = {radius:g} m is too large: it removes whole facets, such as facet "
             f"{worst} at {shown(mesh.x[mesh.facets[worst, 0]])} m; give less than half of the "
             "body's thickness there"
         )
-    return Rounded(Facets(core, mesh.facets), radius)
+    return Rounded(FacetedSurface(core, mesh.facets), radius)

@@ -1,4 +1,4 @@
-"""Where a rigid body is: its centre and how it has turned since it was made."""
+"""The pose of a rigid body: its centre, and its rotation since it was made."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def rotation_of(turn: Array, gdim: int) -> Array:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a body is.
+    """Position and rotation of a body.
 
     Attributes:
-        origin: Its centre at first (m), shape (gdim,), about which it turns.
-        shift: How far the centre has moved since (m), likewise.
-        rotation: How the body has turned since, shape (gdim, gdim).
-        turn: Angle so far (rad), shape (1,), in 2D, which counts whole turns; in 3D the sum of
-            all small rotations, shape (3,).
+        origin: Initial position of the centre of rotation (m), shape (gdim,).
+        shift: Translation of the centre since then (m), shape (gdim,).
+        rotation: Rotation matrix since then, shape (gdim, gdim).
+        turn: Angle since then (rad), shape (1,), in 2D, with whole turns; in 3D the sum of all
+            small rotations, shape (3,).
     """
 
     origin: Array
@@ -51,21 +51,21 @@ class Pose:
 
     @staticmethod
     def first(origin: Array) -> Pose:
-        """Of a body that has not moved."""
+        """The pose of a body that has not moved."""
         d = len(origin)
         return Pose(origin, np.zeros(d), np.eye(d), np.zeros(1 if d < 3 else 3))
 
     @property
     def centre(self) -> Array:
-        """The centre now (m), shape (gdim,)."""
+        """Present position of the centre (m), shape (gdim,)."""
         return self.origin + self.shift
 
     def moved(self, shift: Array, turn: Array) -> Pose:
         """The pose after a further motion.
 
         Args:
-            shift: Of the centre (m), shape (gdim,).
-            turn: About it (rad), shape (1,) or in 3D (3,).
+            shift: Translation of the centre (m), shape (gdim,).
+            turn: Rotation about the centre (rad), shape (1,), in 3D (3,).
         """
         rotation = self.rotation
         if turn.any():
@@ -73,13 +73,13 @@ class Pose:
         return replace(self, shift=self.shift + shift, rotation=rotation, turn=self.turn + turn)
 
     def back(self, x: Array) -> Array:
-        """Positions now (m), shape (n, gdim), as points of the body at first."""
+        """Initial positions of points of the body (m) from present ones, shape (n, gdim)."""
         return self.origin + (x - self.centre) @ self.rotation
 
     def forth(self, x: Array) -> Array:
-        """Where points of the body at first (m), shape (..., gdim), are now."""
+        """Present positions of points of the body (m) from initial ones, shape (..., gdim)."""
         return self.centre + (x - self.origin) @ self.rotation.T
 
     def directions(self, v: Array) -> Array:
-        """How directions fixed to the body, shape (..., gdim), point now."""
+        """Present directions of vectors fixed to the body, shape (..., gdim)."""
         return v @ self.rotation.T

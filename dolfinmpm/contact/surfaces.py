@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["HalfSpace", "Probe", "RigidSurface", "Round", "Rounded"]
+__all__ = ["HalfSpace", "Probe", "Revolved", "RigidSurface", "Round", "Rounded"]
 
 Array = npt.NDArray[np.float64]
 Probe = tuple[Array, Array, Array]
@@ -164,6 +164,59 @@ class Rounded:
             arc = np.column_stack([c * first[0] - s * first[1], s * first[0] + c * first[1]])
             pieces.append(corner + np.stack([arc[:-1], arc[1:]], axis=1))
         return np.concatenate(pieces)
+
+
+class Revolved:
+    """The surface that a profile sweeps out around an axis in 3D.
+
+    Args:
+        profile: A surface in the plane of radius and height (m), mirrored at the axis.
+        point: The point of zero height on the axis (m), shape (3,).
+        axis: Unit vector of the axis, towards greater heights.
+    """
+
+    gdim = 3
+
+    def __init__(self, profile: RigidSurface, point: Array, axis: Array):
+        self.profile, self.point, self.axis = profile, point, axis
+        radius = float(profile.high[0])
+        ends = [point + z * axis for z in (profile.low[1], profile.high[1])]
+        # extent of a disc across the axis
+        across = radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
+        self.low = np.minimum(*ends) - across
+        self.high = np.maximum(*ends) + across
+
+    def probe(self, x: Array) -> Probe:
+        """See `RigidSurface`."""
+        arm = x - self.point
+        z = arm @ self.axis
+        out = arm - z[:, None] * self.axis
+        r = np.linalg.norm(out, axis=1)
+        on = r <= 1e-14 * max(float(self.profile.high[0]), 1e-300)
+        # on the axis, any radial direction will do
+        some = np.eye(3)[int(np.argmin(np.abs(self.axis)))]
+        some = some - (some @ self.axis) * self.axis
+        out[on] = some / np.linalg.norm(some)
+        e = np.where(on[:, None], out, out / np.where(on, 1.0, r)[:, None])
+        g, n2, H2 = self.profile.probe(np.column_stack([r, z]))
+        n = n2[:, :1] * e + n2[:, 1:] * self.axis
+        both = np.stack([e, np.broadcast_to(self.axis, e.shape)], axis=1)
+        H = np.einsum("nab,nai,nbj->nij", H2, both, both)
+        turn = np.cross(self.axis, e)
+        hoop = np.where(on, 0.0, n2[:, 0] / np.where(on, 1.0, r))
+        H += hoop[:, None, None] * turn[:, :, None] * turn[:, None, :]
+        return g, n, H
+
+    def outline(self, low: Array, high: Array) -> Array:
+        """See `RigidSurface`."""
+        segments = self.profile.outline(low[:2], high[:2])
+        half = segments[np.all(segments[:, :, 0] >= -1e-12, axis=1)]
+        triangles = np.concatenate([revolved(np.maximum(s, [0.0, -np.inf])) for s in half])
+        some = np.eye(3)[int(np.argmin(np.abs(self.axis)))]
+        first = some - (some @ self.axis) * self.axis
+        first /= np.linalg.norm(first)
+        frame = np.stack([first, np.cross(self.axis, first), self.axis])
+        return np.asarray(self.point + triangles @ frame)
 
 
 def revolved(profile: Array, sectors: int = 32) -> Array:

@@ -1,385 +1,347 @@
-"""What takes part in a step: stencils, active cells, ghost facets, C, unknowns, pattern.
-
-An activation belongs to the present positions of the points. It is made anew or reused, and never
-changed. Before any stencil is made, the overlap of the ranks grows to the size required by
-domains, roots and cell means. So numberings do not change after data have been computed in them.
-"""
+"""The activation of a step, as values: points, active fields, regions, unknowns, pattern."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.basis import LatticeBasis, Placement, Stencils
-from dolfinmpm.basis.space import extraction
-from dolfinmpm.basis.stencils import selected, spread, together
-from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.active import active_cells, active_nodes, entities
-from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
-from dolfinmpm.cut.cellmeans import layers_needed
-from dolfinmpm.cut.couplings import KeptCouplings, lists_of, pairs_of
-from dolfinmpm.cut.held import Held
-from dolfinmpm.cut.participants import (
-    Activation,
-    ActiveBoundary,
-    ActiveField,
-    Basis,
-    BoundaryOf,
-    Field,
-    Later,
-    Participants,
-    Terms,
-)
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.points import GHOST_FACETS
+from dolfinmpm.cut.activecells import active_cells
+from dolfinmpm.cut.cellaverages import CellAverages
+from dolfinmpm.cut.cellcouplings import CellCouplings
 from dolfinmpm.cut.pattern import Blocks, Pattern
-from dolfinmpm.cut.prolongation import Prolongation
-from dolfinmpm.cut.regions import region_on, regions_of
+from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.grid.partition import Partition
+from dolfinmpm.grid.halo import Numbering
 
-__all__ = ["activate", "active_on_grid"]
+if TYPE_CHECKING:
+    from scipy import sparse
 
-Fixed = npt.NDArray[np.bool_]
+__all__ = [
+    "Activation",
+    "ActiveBoundary",
+    "ActiveDomain",
+    "ActiveField",
+    "ActiveRegion",
+    "Basis",
+    "Coupling",
+    "Entities",
+    "Field",
+    "LazyPattern",
+    "Prolongate",
+    "RegionTerms",
+    "Terms",
+    "TermsOverBoundary",
+    "movers",
+    "with_constraints",
+]
 
-
-def activate(
-    points: MaterialPoints,
-    fields: Sequence[Field],
-    held: Held,
-    terms: Terms,
-    share: float = 1.0,
-    old: Activation | None = None,
-    kept: KeptCouplings | None = None,
-    blocks: Callable[[int], bool] | None = None,
-) -> Activation:
-    """The activation for the present positions of the points. Collective.
-
-    Args:
-        points: Material points.
-        fields: Fields of the problem.
-        held: Its essential conditions.
-        terms: Its weak form.
-        share: Share of the step's prescribed increments.
-        old: A former activation of the same problem. Its unchanged parts are reused.
-        kept: Couplings of the pattern if the same nodes are active.
-        blocks: Function: whether a number of unknowns is to be stored in blocks, see `Unknowns`.
-            None means no blocks.
-    """
-    total = fields[0].space.configuration == "total"
-    bodies = points.placement(fields[0].space.configuration)
-    if total and old is not None and _unmoved(points, bodies, terms.boundaries, old):
-        return _renewed(points, held, terms, share, old)
-    builder = _Builder(points, fields, terms, bodies)
-    active, fixed, prescribed = builder.fields(held, share)
-    unknowns = None if old is None else old.unknowns
-    remaining = [f.nodes for f in active]
-    blocked = blocks is not None and _in_blocks(active, fixed, blocks)
-    if unknowns is None or not unknowns.same(remaining, fixed, blocked):
-        unknowns = Unknowns([f.basis.nodes for f in active], remaining, fixed, blocked)
-        old = None
-    of_terms = {"penalty": builder.penalties, **terms.blocks(active)}
-    here = Participants(bodies, total, tuple(active), unknowns)
-    regions = [region_on(region, points, here) for region in terms.regions]
-    boundaries = _boundaries(terms.boundaries, builder.boundaries, here)
-    pairs = pairs_of([b for own in of_terms.values() for b in own], unknowns)
-    pairs += [] if kept is None else kept.pairs(unknowns)
-    former = None if old is None else old.later.known
-    every = [*regions, *(region for one in boundaries.values() for region in one.regions)]
-    couplings = terms.couple(here)
-    couple = functools.partial(_pattern, every, active, unknowns, couplings, pairs, former)
-    return Activation(
-        bodies, total, here.fields, unknowns, terms, prescribed, held.changing and held.driven,
-        regions, boundaries, of_terms, couplings, Later(couple),
-    )  # fmt: skip
+Basis = LatticeBasis | LinearBasis
+Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], "sparse.spmatrix"]
+Entities = dict[int, npt.NDArray[np.int32]]
 
 
-def _pattern(every, active, unknowns: Unknowns, couplings, pairs, former: Pattern | None):
-    """The sparsity pattern of the matrix."""
-    lists = lists_of(every, active, unknowns) + [one.lists(unknowns) for one in couplings]
-    return Pattern.build(lists, unknowns, pairs, former)
-
-
-def _boundaries(
-    terms: Sequence[BoundaryOf], found: dict[int, ActiveBoundary], here: Participants
-) -> dict[int, ActiveBoundary]:
-    """Boundaries with their active parts."""
-    number = {of.boundary.markers.number: of for of in terms}
-    return {n: replace(one, regions=regions_of(number[n], here)) for n, one in found.items()}
-
-
-def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
-    """Active nodes owned by this rank, in the numbering of the field's space."""
-    basis, base = field.basis, field.space.basis
-    if basis.grid_nodes is None:
-        return field.active[field.active < basis.nodes.owned]
-    flags = np.zeros(basis.nodes.size, bool)
-    flags[field.active] = True
-    return np.flatnonzero(flags[basis.grid_nodes[: base.nodes.owned]]).astype(np.int32)
-
-
-def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], bool]) -> bool:
-    """Whether the unknowns of one field with several components are stored in blocks."""
-    if len(fields) > 1 or fields[0].space.components == 1:
-        return False
-    nodes, numbering = fields[0].nodes, fields[0].basis.nodes
-    owned = nodes[: np.searchsorted(nodes, numbering.owned)]
-    return blocks(numbering.comm.allreduce(int(np.count_nonzero(~fixed[0][owned]))))
-
-
-def _unmoved(
-    points: MaterialPoints, where: Placement, boundaries: Sequence[BoundaryOf], old: Activation
-) -> bool:
-    """Whether points and markers are those of an activation at first positions. Collective."""
-    same = where.x is old.where.x and where.cell.size == old.where.cell.size
-    for of in boundaries:
-        # the place where a wall meets the body is found anew
-        former = old.boundaries[of.boundary.markers.number].seen
-        same = same and of.boundary.follows and of.boundary.seen is former.x
-    return points.comm.allreduce(same, op=MPI.LAND)
-
-
-def _renewed(
-    points: MaterialPoints, held: Held, terms: Terms, share: float, old: Activation
-) -> Activation:
-    """The same activation at first positions, with gradients by the present ones. Collective."""
-    _, prescribed = held.at([f.basis for f in old.fields], share)
-    regions = [region_on(region, points, old) for region in terms.regions]
-    boundaries = _boundaries(terms.boundaries, old.boundaries, old)
-    blocks = {**old.blocks, **terms.blocks(old.fields)}
-    return replace(
-        old, prescribed=prescribed, driven=held.changing and held.driven, regions=regions,
-        boundaries=boundaries, blocks=blocks,
-    )  # fmt: skip
-
-
-@dataclass
-class _Draft:
-    """A field while it is built. Fields with equal keys share their results.
-
-    Attributes:
-        field: The field.
-        number: Its number.
-        chosen: Mask of its points, or None for all points.
-        sees: Whether it has the markers of each boundary, by the number of the boundary.
-        basis: Its basis, with the overlap for the step.
-        seen: Stencils of points and markers on all active nodes.
-        nodes: Active nodes.
-        roots: Roots of ill-filled cells on meshes that are no lattices.
-        entities: Ghost facets and active cells.
-    """
-
-    field: Field
-    number: int
-    chosen: Fixed | None
-    sees: dict[int, bool]
-    basis: Basis
-    seen: Any = None
-    nodes: Any = None
-    roots: Any = None
-    entities: Any = None
+class RegionTerms(Protocol):
+    """Points with the same terms in a weak form."""
 
     @property
-    def key(self) -> Hashable:
-        """Key that is equal for fields with the same points, markers and basis."""
-        return id(self.field.space.basis), self.field.space.tags, tuple(self.sees.values())
+    def averages(self) -> bool:
+        """Whether a law uses means over cells."""
 
-    def stencils(self, where: Placement, sets: dict[int, ActiveBoundary]) -> Stencils:
-        """Stencils in the basis; points outside the field get empty stencils. Collective.
+    @property
+    def by_centres(self) -> bool:
+        """Whether the means count each point only in the cell of its centre."""
 
-        Args:
-            where: The points, followed by the active markers of each boundary.
-            sets: The boundaries, by the number of their markers.
-        """
-        if self.chosen is None:
-            return self.basis.stencils(where)
-        of_markers = [np.full(len(one.rows), self.sees[n]) for n, one in sets.items()]
-        rows = np.flatnonzero(np.concatenate([self.chosen, *of_markers]))
-        return spread(self.basis.stencils(where.of(rows)), rows, len(where.x))
+    @property
+    def tags(self) -> frozenset[int] | None:
+        """Tags of its points. None means all points, or all points except some."""
+
+    def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
+        """Mask of the points of the region, or None for all points."""
 
 
-class _Builder:
-    """Builds the active fields of a step, one after the other. Collective.
+class TermsOverBoundary(Protocol):
+    """Terms over a boundary that does not fit the grid."""
 
-    Args:
-        points: Material points.
-        fields: Fields of the problem.
-        terms: The weak form.
-        bodies: The points as a placement for stencils.
+    @property
+    def boundary(self) -> Boundary:
+        """The boundary."""
+
+    @property
+    def regions(self) -> Sequence[RegionTerms]:
+        """Parts of the boundary with separate terms."""
+
+    def sees(self, u: Any) -> bool:
+        """Whether its markers belong to the field of an increment, for fields with tags."""
+
+
+class Coupling(Protocol):
+    """Nodes that a term couples, in addition to the couplings by points."""
+
+    def lists(self, unknowns: Unknowns) -> tuple[npt.NDArray, npt.NDArray]:
+        """Lists of coupled nodes, numbered with the offsets of their fields."""
+
+
+class Terms(Protocol):
+    """Interface of a weak form for activations."""
+
+    @property
+    def regions(self) -> Sequence[RegionTerms]:
+        """Parts of the body with separate terms."""
+
+    @property
+    def boundaries(self) -> Sequence[TermsOverBoundary]:
+        """Terms over boundaries that do not fit the grid."""
+
+    @property
+    def moving(self) -> set[int]:
+        """Ids of the active facets and cells in its integrals."""
+
+    @property
+    def layers(self) -> int:
+        """Layers of cells around the cells of a rank that its terms need."""
+
+    def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
+        """Blocks that are constant during a step, by their kind. Collective."""
+
+    def couple(self, here: ActiveDomain) -> list[Coupling]:
+        """Nodes that its terms couple, in addition to the couplings by points. Collective."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field of a problem: its space, and its stabilisation against small cuts.
 
     Attributes:
-        boundaries: Boundaries that do not fit the grid, by the number of their markers.
-        penalties: Penalties of weak aggregation.
+        space: The space.
+        stabilisation: The stabilisation.
+        prolongate: Function of stencils and active nodes that returns a matrix C, or None.
+        beside: A second stabilisation that constrains nodes, or None.
     """
 
-    def __init__(
-        self, points: MaterialPoints, fields: Sequence[Field], terms: Terms, bodies: Placement
-    ):
-        self._points, self._bodies, self._moving = points, bodies, terms.moving
-        self.penalties: list[Blocks] = []
-        self._terms, of_all = terms.boundaries, {}
-        for of in terms.boundaries:
-            rows = np.asarray(np.flatnonzero(of.boundary.present()), np.int32)
-            of_all[of.boundary.markers.number] = ActiveBoundary(of.boundary.placement(), rows)
-        # markers activate cells like points without volume
-        where = together([bodies, *(one.seen for one in of_all.values())])
-        averages = any(region.averages for region in terms.regions)
-        bases = _bases(fields, where, averages, points.partition, terms.layers)
-        self._drafts = [self._draft(k, *both) for k, both in enumerate(zip(fields, bases))]
-        self.boundaries = of_all
-        if not all(of.boundary.activates for of in terms.boundaries):
-            self.boundaries = self._in_active_cells(of_all)
-            where = together([bodies, *(one.seen.of(one.rows) for one in self.boundaries.values())])
-        self._where = where
+    space: Space
+    stabilisation: Stabilisation
+    prolongate: Prolongate | None = None
+    beside: Stabilisation | None = None
 
-    def _draft(self, number: int, field: Field, basis: Basis) -> _Draft:
-        """A field with its points and markers."""
-        space = field.space
-        chosen = None if space.tags is None else np.isin(self._points["tag"], space.tags)
-        sees = {
-            of.boundary.markers.number: space.tags is None or of.sees(space.increment)
-            for of in self._terms
-        }
-        return _Draft(field, number, chosen, sees, basis)
+    @functools.cached_property
+    def constraining(self) -> Stabilisation | None:
+        """The stabilisation that constrains nodes to others, or None."""
+        return self.stabilisation if self.stabilisation.constrains_nodes else self.beside
 
-    def _in_active_cells(self, sets: dict[int, ActiveBoundary]) -> dict[int, ActiveBoundary]:
-        """Active markers: of passive boundaries only markers in active cells. Collective.
+    @property
+    def constrains_nodes(self) -> bool:
+        """Whether a stabilisation constrains nodes to others."""
+        return self.constraining is not None
 
-        Args:
-            sets: The boundaries, with all their markers.
+
+def with_constraints(field: Field) -> Field:
+    """A field whose nodes with little support are constrained, with any stabilisation."""
+    if field.constrains_nodes or field.prolongate is not None:
+        return field
+    return replace(field, beside=Stabilisation("aggregation"))
+
+
+@dataclass(frozen=True)
+class ActiveField:
+    """A field on the active cells.
+
+    Attributes:
+        space: Its space.
+        basis: Its basis, with the overlap of ranks for the step.
+        full_stencils: Stencils on all active nodes.
+        active: Nodes in the stencils of points on any rank, increasing.
+        stencils: Stencils on the independent nodes.
+        nodes: The independent nodes, increasing.
+        C: Matrix from the independent nodes to all nodes, or None.
+        to_grid: Matrix from the independent nodes to DOLFINx's Lagrange nodes, or None.
+        entities: Ghost facets and active cells, by subdomain id, if terms need them.
+        whole: Stencils of points and markers on all active nodes.
+        of_markers: Stencils of the markers of boundaries on the independent nodes, by the number
+            of the markers.
+        level: Fill fraction from which the nodes of a cell are independent, or None if no
+            stabilisation constrains nodes.
+    """
+
+    space: Space
+    basis: Basis
+    full_stencils: Stencils
+    active: npt.NDArray[np.int32]
+    stencils: Stencils
+    nodes: npt.NDArray[np.int32]
+    C: sparse.csr_matrix | None
+    to_grid: sparse.csr_matrix | None
+    entities: Entities
+    whole: Stencils
+    of_markers: Mapping[int, Stencils] = field(default_factory=dict)
+    level: float | None = None
+
+    @functools.cached_property
+    def cells(self) -> npt.NDArray[np.bool_]:
+        """Mask of the active local cells. Collective at its first use."""
+        return active_cells(self.whole, self.basis.cells)
+
+
+@dataclass(frozen=True)
+class ActiveRegion:
+    """A region of the body: stencils of its points, and couplings of its cell means.
+
+    Attributes:
+        stencils: Stencils in each field, in common groups.
+        means: Means over cells, or None if no law uses means.
+        within: Numbering of the nodes, and active nodes, of each field.
+    """
+
+    stencils: list[Stencils]
+    means: CellAverages | None
+    within: list[tuple[Numbering, npt.NDArray[np.int32]]]
+
+    @functools.cached_property
+    def couplings(self) -> list[CellCouplings] | None:
+        """Nodes that the cell means couple, per field, or None. Collective at its first use.
+
+        Only a tangent needs the couplings.
+
+        Raises:
+            ParameterError: Ranks constrain different nodes.
         """
-        flags = {of.boundary.markers.number: of.boundary.present() for of in self._terms}
-        once = {(id(d.basis), tuple(d.sees.values()), d.field.space.tags): d for d in self._drafts}
-        for draft in once.values():
-            cells = active_cells(draft.stencils(self._bodies, {}), draft.basis.cells)
-            for of in self._terms:
-                n = of.boundary.markers.number
-                if of.boundary.activates or not draft.sees[n]:
-                    continue
-                s = draft.basis.stencils(sets[n].seen)
-                # a marker without a domain is in one cell
-                flags[n][s.order] &= np.repeat(cells[s.cells], np.diff(s.groups))
-        rows = {n: np.asarray(np.flatnonzero(chosen), np.int32) for n, chosen in flags.items()}
-        return {n: replace(one, rows=rows[n]) for n, one in sets.items()}
-
-    def fields(self, held: Held, share: float) -> tuple[list[ActiveField], Any, Any]:
-        """The active fields, with constrained components and prescribed increments. Collective.
-
-        Args:
-            held: The essential conditions. Constrained nodes do not follow other nodes.
-            share: Share of the step's prescribed increments.
-        """
-        self._share("seen", lambda d: d.stencils(self._where, self.boundaries))
-        self._share("nodes", lambda d: active_nodes(d.seen, d.basis.nodes))
-        self._find_roots()
-        fixed, prescribed = held.at([d.basis for d in self._drafts], share)
-        grid, moving = self._points.grid, self._moving
-        self._share("entities", lambda d: entities(grid, moving, d.seen, d.basis))
-        active = [self._parted(self._active(d, own)) for d, own in zip(self._drafts, fixed)]
-        return active, fixed, prescribed
-
-    def _share(self, name: str, make: Callable[[_Draft], Any]) -> None:
-        """Compute an attribute per field, once for all fields with the same key. Collective."""
-        made: dict[Hashable, Any] = {}
-        for draft in self._drafts:
-            if draft.key not in made:
-                made[draft.key] = make(draft)
-            setattr(draft, name, made[draft.key])
-
-    def _find_roots(self) -> None:
-        """Add roots on other ranks to bases, for grids that are not rectangular. Collective."""
-        for draft in self._drafts:
-            tying, basis = draft.field.tying, draft.basis
-            if tying is None or isinstance(basis, LatticeBasis):
-                continue
-            filled = tying.measure(self._where, draft.seen, basis)
-            draft.roots = mesh_roots(basis, draft.nodes, filled, tying.level(basis.degree))
-            wider = basis.knowing(*draft.roots.unknown)
-            for other in self._drafts:
-                # fields that share a basis must still share it
-                other.basis = wider if other.basis is basis else other.basis
-        self._share("nodes", lambda d: active_nodes(d.seen, d.basis.nodes))
-
-    def _active(self, draft: _Draft, fixed: Fixed) -> ActiveField:
-        """One field on the active cells, with points and markers together. Collective."""
-        field, basis, seen, nodes = draft.field, draft.basis, draft.seen, draft.nodes
-        tying, active = field.tying, nodes
-        C = None
-        if tying is not None:
-            C = tying.ties(self._where, basis, seen, nodes, fixed, draft.roots)
-        if C is not None and field.stabilisation.kind == "weak-aggregation":
-            owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
-            radius = basis.node_coordinates()[:, 0] if self._points.axisymmetric else None
-            entries = field.stabilisation.penalty(field.space, C, owned, radius)
-            self.penalties.append(Blocks(draft.number, draft.number, *entries))
-            C = None
-        level = None if C is None or tying is None else tying.level(basis.degree)
-        if field.prolongate is not None:
-            from scipy import sparse
-
-            own = sparse.csr_matrix(field.prolongate(seen, nodes))
-            C = own if C is None else C @ own
-        to_grid, stencils = extraction(field.space, basis), seen
-        if C is not None:
-            prolongation = Prolongation(C)
-            C = prolongation.matrix
-            to_grid = C if to_grid is None else to_grid @ C
-            stencils = prolongation.stencils(seen)
-            nodes = nodes[~prolongation.tied[nodes]]
-        return ActiveField(
-            field.space, basis, seen, active, stencils, nodes, C, to_grid, draft.entities, seen,
-            level=level,
-        )  # fmt: skip
-
-    def _parted(self, field: ActiveField) -> ActiveField:
-        """A field with separate stencils of the points and of each boundary's markers."""
-        if not self.boundaries:
-            return field
-        n = len(self._bodies.x)
-
-        def part(s: Stencils, first: int, rows: npt.NDArray[np.int32]) -> Stencils:
-            number = np.arange(len(self._where.x))
-            own = selected(s, (number >= first) & (number < first + len(rows)))
-            return replace(own, order=rows[own.order - first])
-
-        of_markers, first = {}, n
-        for number, one in self.boundaries.items():
-            of_markers[number] = part(field.stencils, first, one.rows)
-            first += len(one.rows)
-        own = np.arange(n, dtype=np.int32)
-        return replace(
-            field,
-            seen=part(field.seen, 0, own),
-            stencils=part(field.stencils, 0, own),
-            of_markers=of_markers,
-        )
+        if self.means is None:
+            return None
+        found = [
+            CellCouplings(self.means, s, numbering, nodes)
+            for s, (numbering, nodes) in zip(self.stencils, self.within)
+        ]
+        if not all(c.complete for c in found):
+            raise ParameterError(
+                "the prolongation constrains nodes at a rank border differently on the two sides; "
+                "make it a function of the nodes' positions alone"
+            )
+        return found
 
 
-def _bases(
-    fields: Sequence[Field],
-    where: Placement,
-    averages: bool,
-    partition: Partition | None,
-    least: int = 0,
-) -> list[Basis]:
-    """The bases, with the overlap for domains, roots and cell means. Collective."""
-    reach = {id(f.space.basis): f.space.basis for f in fields}
-    reaches = {key: basis.reach(where) for key, basis in reach.items()}
-    layers: dict[int, int] = {}
-    # cell means use the nodes of all fields around the cells of the first field's domains
-    span = max(count for _, count in reaches.values())
-    for one in fields:
-        basis = one.space.basis
-        need = max(reaches[id(basis)][0], least)
-        if averages:
-            need = max(need, layers_needed(span, basis))
-        if one.ties_nodes:
-            need += SEARCH_RADIUS + basis.degree + 1
-            # whether a cell of splines is a root depends on the cells around it
-            need += SEARCH_RADIUS if basis.degree > 1 else 0
-        layers[id(basis)] = max(layers.get(id(basis), 0), need)
-    return [f.space.basis.grown(layers[id(f.space.basis)], partition) for f in fields]
+@dataclass(frozen=True)
+class ActiveDomain:
+    """Points, active fields and unknowns of a step.
+
+    Attributes:
+        where: Positions, half-lengths and volumes of the points for the stencils.
+        total: Whether stencils are those at initial positions.
+        fields: The fields.
+        unknowns: Numbering of the unknowns.
+    """
+
+    where: Placement
+    total: bool
+    fields: tuple[ActiveField, ...]
+    unknowns: Unknowns
+
+    @property
+    def movers(self) -> tuple[int, ...]:
+        """Numbers of the fields that move points."""
+        return movers([field.space for field in self.fields])
+
+
+def movers(spaces: Sequence[Space]) -> tuple[int, ...]:
+    """Numbers of the fields that move points: the first, or all displacements with tags."""
+    if spaces[0].tags is None:
+        return (0,)
+    shape = (spaces[0].grid.geometry.dim,)
+    own = (k for k, s in enumerate(spaces) if s.tags and s.increment.ufl_shape == shape)
+    return tuple(own)
+
+
+class LazyPattern:
+    """The pattern of a matrix, made at its first use.
+
+    Args:
+        build: Function that makes the pattern.
+    """
+
+    def __init__(self, build: Callable[[], Pattern]):
+        self._build: Callable[[], Pattern] | None = build
+        self.known: Pattern | None = None
+
+    @property
+    def pattern(self) -> Pattern:
+        """The pattern."""
+        if self.known is None:
+            assert self._build is not None
+            # the function keeps the data of the pattern alive and is released too
+            self.known, self._build = self._build(), None
+        return self.known
+
+
+@dataclass(frozen=True)
+class ActiveBoundary:
+    """A boundary that does not fit the grid, in a step.
+
+    Attributes:
+        seen: Positions and half-lengths of its markers for the stencils.
+        rows: The active markers, increasing.
+        regions: Its parts with separate terms.
+    """
+
+    seen: Placement
+    rows: npt.NDArray[np.int32]
+    regions: list[ActiveRegion] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Activation(ActiveDomain):
+    """The active part of a problem in a step.
+
+    Attributes:
+        terms: The weak form of the problem.
+        prescribed: Values of prescribed components, (nodes, components) for each field.
+        driven: Whether a prescribed value is not zero.
+        regions: The regions of the body.
+        boundaries: Boundaries that do not fit the grid, by the number of their markers.
+        blocks: Blocks that are constant during the step, between the independent nodes, by kind:
+            "stiffness" of terms over the grid, "penalty" of weak aggregation, "soft" terms of
+            the tangent only, "mass" (kg), and "changes", penalties on the change of velocity in
+            the step, as terms of the increments.
+        couplings: Couplings by terms, in addition to the couplings by points.
+        lazy: The pattern, made at its first use.
+    """
+
+    terms: Terms
+    prescribed: list[npt.NDArray[np.float64]]
+    driven: bool
+    regions: list[ActiveRegion]
+    boundaries: dict[int, ActiveBoundary]
+    blocks: Mapping[str, list[Blocks]]
+    couplings: list[Any]
+    lazy: LazyPattern
+
+    def blocks_of(self, kind: str, field: int | None = None) -> list[Blocks]:
+        """Blocks of a kind, of all fields or of one field alone."""
+        found = self.blocks.get(kind, [])
+        return [b for b in found if field is None or b.row_field == b.column_field == field]
+
+    @property
+    def pattern(self) -> Pattern:
+        """The sparsity pattern of the matrix on this rank; explicit steps do not need it."""
+        return self.lazy.pattern
+
+    @property
+    def active_cells(self) -> int:
+        """Number of cells that are active for the first field, on all ranks. Collective."""
+        first = self.fields[0]
+        own = int(first.cells[: first.basis.cells.owned].sum())
+        return self.unknowns.comm.allreduce(own, op=MPI.SUM)
+
+    @property
+    def ghost_facets(self) -> int:
+        """Number of ghost facets on all ranks, 0 if no term needs them. Collective."""
+        rows = self.fields[0].entities.get(GHOST_FACETS, np.empty(0, np.int32))
+        return self.unknowns.comm.allreduce(rows.size // 4, op=MPI.SUM)

@@ -31,7 +31,7 @@ from dolfinmpm.basis.cells import pull_back
 if TYPE_CHECKING:
     from scipy import sparse
 
-__all__ = ["SEARCH_RADIUS", "MeshRoots", "mesh_roots", "ties"]
+__all__ = ["SEARCH_RADIUS", "MeshRoots", "constraint_matrix", "mesh_roots"]
 
 # Cells around a node in which its root is searched.
 SEARCH_RADIUS = 4
@@ -176,7 +176,7 @@ def _lowest(basis: LatticeBasis, values):
     return found
 
 
-def _lattice_ties(basis: LatticeBasis, nodes, filled, threshold: float, extended: bool):
+def _lattice_constraints(basis: LatticeBasis, nodes, filled, threshold: float, extended: bool):
     halo, lattice, degree = basis.halo, basis.lattice, basis.degree
     shape = np.array(halo.cell_table.shape, np.int64)
     inner, root = _inner_and_roots(basis, nodes, filled, threshold, extended)
@@ -189,8 +189,8 @@ def _lattice_ties(basis: LatticeBasis, nodes, filled, threshold: float, extended
         outer, halo.node_ijk, x, np.concatenate(middles), starts, np.array(lattice.shape), degree,
         halo.origin, shape, root, SEARCH_RADIUS, _growth(degree), found,
     )  # fmt: skip
-    tied = found[:, 0] >= 0
-    outer, found = outer[tied], found[tied]
+    has_root = found[:, 0] >= 0
+    outer, found = outer[has_root], found[has_root]
 
     @functools.cache
     def along(d: int, cell: int, function: int):
@@ -231,7 +231,7 @@ class MeshRoots:
         outer: Nodes that need a root, shape (n,).
         corners: Corners of the root of each node (m), shape (n, nodes of a cell, 3).
         nodes: Global numbers of the root's nodes, shape (n, nodes of a cell).
-        unknown: Global numbers, owners and positions (m) of root nodes not known on this rank.
+        unknown: Global numbers, owners and positions (m) of root nodes unknown on this rank.
     """
 
     outer: npt.NDArray[np.int32]
@@ -266,13 +266,13 @@ def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoo
         equal = distance <= distance[:, :1] * (1 + 1e-9)
         root = np.where(equal, near, len(middles)).min(axis=1)
     wanted = indices[root].ravel()
-    strange = basis.nodes.index_map.global_to_local(wanted) < 0
-    new, first = np.unique(wanted[strange], return_index=True)
-    whose, where = owners[root].ravel()[strange], corners[root].reshape(-1, 3)[strange]
+    unknown = basis.nodes.index_map.global_to_local(wanted) < 0
+    new, first = np.unique(wanted[unknown], return_index=True)
+    whose, where = owners[root].ravel()[unknown], corners[root].reshape(-1, 3)[unknown]
     return MeshRoots(outer, corners[root], indices[root], (new, whose[first], where[first]))
 
 
-def _mesh_ties(basis: LinearBasis, roots: MeshRoots):
+def _mesh_constraints(basis: LinearBasis, roots: MeshRoots):
     """Constraints to the roots. The basis must know all nodes of the roots."""
     d, m = basis.grid.geometry.dim, basis.dofs.shape[1]
     X = basis.node_coordinates()[:, :d]
@@ -285,7 +285,7 @@ def _mesh_ties(basis: LinearBasis, roots: MeshRoots):
             yield a, masters, N.copy()
 
 
-def ties(
+def constraint_matrix(
     basis: LatticeBasis | LinearBasis,
     nodes: npt.NDArray[np.int32],
     filled: npt.NDArray[np.float64],
@@ -317,10 +317,10 @@ def ties(
 
     size = basis.nodes.size
     if isinstance(basis, LatticeBasis):
-        found = _lattice_ties(basis, nodes, filled, threshold, extended)
+        found = _lattice_constraints(basis, nodes, filled, threshold, extended)
     else:
         assert roots is not None
-        found = _mesh_ties(basis, roots)
+        found = _mesh_constraints(basis, roots)
     keep = np.ones(size, bool)
     rows, columns, values = [np.empty(0, int)], [np.empty(0, int)], [np.empty(0)]
     for a, masters, weights in found:

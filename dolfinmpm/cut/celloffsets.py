@@ -1,8 +1,8 @@
-"""Where points are in their cells, for terms with means over cells such as a pressure projection.
+"""Offsets of points in their cells, for terms with averages over cells (pressure projections).
 
-Where nodes of ill-filled cells are tied to roots, such a cell and its root carry one polynomial,
-and are one cell to means: with means of their own a first undrained step overshoots by 13 %. In one
-dimension the projection then lumps what is stored at the ends of both together.
+If the nodes of an ill-filled cell are constrained to a root cell, both cells have one polynomial.
+Then both count as one cell for averages. With separate averages, a first undrained step overshoots
+by 13 %. In one dimension the projection then lumps the storage at the ends of both cells together.
 """
 
 from __future__ import annotations
@@ -13,27 +13,28 @@ from dolfinx import fem
 from dolfinx.la import InsertMode
 
 from dolfinmpm.basis import LatticeBasis, Placement
+from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.fractions import fill_fractions
-from dolfinmpm.cut.participants import ActiveField
 
 __all__ = ["cell_offsets"]
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-# Roots that are as near, up to rounding, are no more than those around a corner in space
+# Largest number of roots at equal distance: the cells around a corner in space
 _EQUAL = 8
 
 
 def cell_offsets(where: Placement, field: ActiveField) -> Array:
-    """From the centres of mass of the cells' points to the points, and sizes. Collective.
+    """Offsets of points from the centres of mass of their cells, and sizes. Collective.
 
     Args:
-        where: The points, as the field's stencils see them.
+        where: Positions, half-lengths and volumes of the points.
         field: The field.
 
     Returns:
-        Shape (points, gdim + 1): offsets (m), and sizes (m): that of the cell, see `cell_size`,
-        times the volume of the points of cells that count as one by that of a cell, from 1 to 2.
+        Shape (points, gdim + 1): offsets (m), and sizes (m). A size is the cell size, see
+        `cell_size`, times a factor from 1 to 2: the volume of the points in a cell with its
+        constrained cells, divided by the volume of the cell.
     """
     basis = field.basis
     moments = np.column_stack([where.volume, where.volume[:, None] * where.x])
@@ -70,18 +71,15 @@ def _summed(basis: LatticeBasis, cell: Ints, values: Array) -> Array:
 
 
 def _with_roots(where: Placement, field: ActiveField, sums: Array) -> tuple[Array, Array]:
-    """Sums of ill-filled cells and their roots together, and their volumes by a cell's.
-
-    Collective.
-    """
+    """Common sums of ill-filled cells and their roots, and their fill fractions. Collective."""
     basis = field.basis
     assert isinstance(basis, LatticeBasis)
     assert field.level is not None
-    filled = fill_fractions(where, field.seen, basis)
+    filled = fill_fractions(where, field.full_stencils, basis)
     root = _roots(basis, filled, field.level)
     own = np.arange(basis.cells.owned)
     together = _summed(basis, root, np.column_stack([sums[own], filled[own]]))
-    # owners know the roots of their cells, others ask them
+    # only the owner of a cell knows its root
     shared = basis.cells.vector(together.shape[1])
     result = shared.array.reshape(-1, together.shape[1])
     result[own] = together[root]
@@ -90,7 +88,7 @@ def _with_roots(where: Placement, field: ActiveField, sums: Array) -> tuple[Arra
 
 
 def _roots(basis: LatticeBasis, filled: Array, level: float) -> Ints:
-    """The nearest well-filled cell of each own cell, itself if it is one or there is none."""
+    """The nearest well-filled cell of each own cell, or the cell itself if there is none."""
     from scipy.spatial import cKDTree
 
     ijk, own = basis.halo.cell_ijk, basis.cells.owned
@@ -99,7 +97,7 @@ def _roots(basis: LatticeBasis, filled: Array, level: float) -> Ints:
     ill = np.flatnonzero((filled[:own] > 0) & (filled[:own] < level - 1e-9))
     if not good.size or not ill.size:
         return root
-    # among equals that of the lowest position, on any number of ranks
+    # among equal cells the lowest position decides, on any number of ranks
     good = good[np.lexsort(ijk[good].T[::-1])]
     low, high = basis.cell_corners()
     middle, count = 0.5 * (low + high), min(_EQUAL, good.size)

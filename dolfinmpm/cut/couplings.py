@@ -1,4 +1,4 @@
-"""Which nodes an activation couples: what its pattern is made of, and what a checkpoint keeps."""
+"""Nodes that an activation couples, for its sparsity pattern and for checkpoints."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Unknowns
 
 if TYPE_CHECKING:
-    from dolfinmpm.cut.participants import Activation, ActiveRegion
+    from dolfinmpm.cut.activation import Activation, ActiveRegion
 
 __all__ = ["KeptCouplings", "lists_of", "pairs_of"]
 
 
 @dataclass(frozen=True)
 class KeptCouplings:
-    """Couplings that a pattern had, by numbers that are the same in another run.
+    """Couplings of a former pattern, with numbers that are the same in another run.
 
     Attributes:
-        active: Active nodes known here, increasing, shape (n,).
-        rows, columns: Coupled nodes, shape (m,) each.
+        active: Active nodes known on this rank, increasing, shape (n,).
+        rows, columns: Pairs of coupled nodes, shape (m,) each.
     """
 
     active: npt.NDArray[np.int64]
@@ -34,14 +34,14 @@ class KeptCouplings:
 
     @staticmethod
     def of(here: Activation) -> KeptCouplings:
-        """Those of an activation."""
+        """The couplings of an activation."""
         number, active = _numbers(here.unknowns)
         rows = np.repeat(active, np.diff(here.pattern.start))
         columns = active[here.pattern.neighbours]
         return KeptCouplings(np.sort(number[active]), number[rows], number[columns])
 
     def pairs(self, unknowns: Unknowns) -> list[tuple[npt.NDArray, npt.NDArray]]:
-        """The coupled nodes here, if the active nodes of all ranks are the same. Collective."""
+        """Coupled local nodes, if the active nodes are unchanged on all ranks. Collective."""
         number, active = _numbers(unknowns)
         same = np.array_equal(np.sort(number[active]), self.active)
         if not unknowns.comm.allreduce(same, op=MPI.LAND):
@@ -53,7 +53,7 @@ class KeptCouplings:
 
 
 def _numbers(unknowns: Unknowns) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Global numbers of all fields' nodes, and which of them carry unknowns."""
+    """Global numbers of the nodes of all fields, and the nodes that carry unknowns."""
     numbers, active, first = [], [], 0
     for field in unknowns.fields:
         index_map = field.numbering.index_map
@@ -81,7 +81,7 @@ def lists_of(regions: Sequence[ActiveRegion], fields, unknowns: Unknowns):
 
 
 def _stacked(parts, unknowns: Unknowns):
-    """Lists of nodes of every field made one, list by list."""
+    """Lists of nodes of each field, joined list by list."""
     if len(parts) == 1:
         return parts[0]
     number = len(parts[0][0]) - 1

@@ -1,15 +1,15 @@
 """Moduli of a ghost penalty that follow the tangent of the laws at the facet.
 
-Each point carries two moduli of its tangent at the end of the last step, the P-wave
-modulus M and the shear modulus G of the isotropic tensor that is nearest to it. A facet has their
-means over the points of its two cells, weighted with volumes. They are frozen in a step, so
-that the penalty stays linear in the increment.
+Each point carries two moduli of its tangent at the end of the last step: the P-wave modulus M and
+the shear modulus G of the nearest isotropic tensor. A facet has their averages over the points of
+its two cells, weighted by volumes. They are constant in a step, so that the penalty stays linear in
+the increment.
 
-Facets of axisymmetric points go around the axis: a value has the factor 2π r, r being that of the
-middle between the centres of the facet's cells.
+Facets of axisymmetric points go around the axis. So a value has the factor 2π r, with the radius r
+of the middle between the centres of the facet's cells.
 
-Not the tangent at the start of a step: there yielding points stand on the yield surface, where
-rounding decides between an elastic and a plastic one.
+The tangent at the start of a step would not do: yielding points lie on the yield surface, where
+rounding decides between an elastic and a plastic tangent.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dolfinmpm.cut.fractions import cell_sums
 from dolfinmpm.grid.lattice import once_per_grid
 
 if TYPE_CHECKING:
-    from dolfinmpm.cut.participants import ActiveField
+    from dolfinmpm.cut.activation import ActiveField
 
 __all__ = [
     "FIELD",
@@ -43,12 +43,12 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-# Name of the points' field: M and G (Pa); zero where no law has given any yet.
+# Name of the points' field: M and G (Pa); zero before a law has given values.
 FIELD = "tangent_moduli"
 
-# Least M by that of elasticity. A point on the apex of a cone has no stiffness at all, and
-# one that unloads in the next step has the elastic one again: the constant is then no more
-# than ten times what was aimed at. Shear alone leaves more: no less than 0.4 in the soils of
+# Least M, as a share of the elastic M. A point on the apex of a cone has no stiffness, and a point
+# that unloads in the next step has the elastic stiffness again. With this bound the local constant
+# exceeds its target at most ten times. Shear alone leaves at least 0.4 in the soils of
 # demos/studies/ghost_parameter.py.
 LEAST = 0.1
 
@@ -61,27 +61,26 @@ def _constants_by_cell(grid) -> fem.FunctionSpace:
 class FacetModulus(fem.Function):
     """A modulus in a term over ghost facets, with one value per facet.
 
-    To UFL and FFCx it is a function that is constant in every cell; whoever integrates
-    puts `values` in its place.
+    For UFL and FFCx it is a function that is constant in every cell. The integration of the term
+    replaces it by `values`.
 
     Args:
         points: Material points.
-        u: Increment whose laws are meant.
-        target: Local constant that it is to give, see `dolfinmpm.assembly.facetpairs`; None
-            for the P-wave modulus itself.
-        scaling: Of the term that it is in, see `ghost`.
+        u: Increment of the laws.
+        target: Target of the local constant, see `dolfinmpm.assembly.facetpenalties`; None for the
+            P-wave modulus itself.
+        scaling: Scaling of the term, see `ghost`.
 
     Attributes:
         points, increment, target, scaling: The arguments.
-        moduli: M and G of each facet (Pa; of axisymmetric bodies, times 2π r), in the order of the
-            field's
-            entities, shape (facets, 2).
+        moduli: M and G of each facet (Pa; times 2π r in axisymmetric problems), in the order of
+            the field's entities, shape (facets, 2).
         values: Value at each facet (Pa), shape (facets,).
     """
 
     def __init__(self, points: MaterialPoints, u, target: float | None, scaling: str):
         super().__init__(_constants_by_cell(points.grid), name="facet_modulus")
-        # no load of the user's
+        # it is no load of the user
         self._dolfinmpm_own = True
         self.points, self.increment, self.target = points, u, target
         self.scaling = scaling
@@ -94,7 +93,7 @@ class FacetRing(FacetModulus):
 
     Args:
         points: Material points.
-        u: Increment that the term is of.
+        u: Increment in the term.
     """
 
     def __init__(self, points: MaterialPoints, u):
@@ -121,8 +120,8 @@ def _rings(field: ActiveField, facets: npt.NDArray[np.int32]) -> Array:
 def isotropic_moduli(tangent: Array) -> Array:
     """M and G of the isotropic tensors nearest to tangents, shape (n, 2).
 
-    By the traces D_iikk and D_ijij of the symmetric part, which determine the two moduli of
-    an isotropic one; so they do not depend on axes, and mean values commute with it.
+    The traces D_iikk and D_ijij of the symmetric part determine the two moduli of an isotropic
+    tensor. So the moduli do not depend on axes, and commute with averages.
 
     Args:
         tangent: D_ijkl (Pa), shape (n, d, d, d, d).
@@ -140,17 +139,17 @@ def isotropic_moduli(tangent: Array) -> Array:
 
 
 def bounded(moduli: Array, elastic: Array) -> Array:
-    """M no less than `LEAST` of the elastic one, and G between none and M; shapes (n, 2)."""
+    """M, at least `LEAST` times the elastic M, and G between 0 and M; shapes (n, 2)."""
     M = np.maximum(moduli[:, 0], LEAST * elastic[:, 0])
     return np.stack([M, np.clip(moduli[:, 1], 0.0, M)], axis=1)
 
 
 def update(modulus: FacetModulus, field: ActiveField) -> None:
-    """Take the points' moduli as they are now for those of the field's ghost facets. Collective.
+    """Set moduli of ghost facets from the present moduli of the points. Collective.
 
     Args:
-        modulus: Its `moduli` are set.
-        field: Field of its increment on the active cells.
+        modulus: The modulus; its `moduli` are set.
+        field: The active field of its increment.
     """
     points = modulus.points
     facets = field.entities[GHOST_FACETS].reshape(-1, 4)
@@ -162,7 +161,8 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
     # points without a law do not count
     weights = np.where(M > 0, where.volume, 0.0)
     sums = [
-        cell_sums(where, field.seen, field.basis, w) for w in (weights, weights * M, weights * G)
+        cell_sums(where, field.full_stencils, field.basis, w)
+        for w in (weights, weights * M, weights * G)
     ]
     if field.basis.grid_cells is not None:
         sums = [s[field.basis.grid_cells] for s in sums]
@@ -171,7 +171,7 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
     known = weight > 0
     means[known] /= weight[known, None]
     if points.comm.allreduce(not known.all(), op=MPI.LOR):
-        # of cells that only points without a law are in
+        # cells that contain only points without a law
         own = np.array(
             [weights.sum(), weights @ points[FIELD][:, 0], weights @ points[FIELD][:, 1]]
         )

@@ -1,4 +1,4 @@
-"""How full cells are, how points share in them, and how much of each spline the body holds."""
+"""Fill fractions of cells, shares of points in cells, and shares of splines in the body."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 @numba.njit(cache=True, error_model="numpy")
 def _share(low, high, cell, x, half, p):
-    """Share of a point's domain that lies in a cell; a point without one is in one cell."""
+    """Share of a point's domain in a cell. A point without a domain is in one cell."""
     share = 1.0
     for d in range(x.shape[1]):
         if half[p, d] == 0.0:
@@ -63,7 +63,7 @@ def _fill_shares(order, groups, cell_start, cells, low, high, x, half, share_sta
 
 
 def _boxes(basis: LatticeBasis | LinearBasis) -> tuple[Array, Array]:
-    """Lower and upper corners of the local cells (m); none where a point is in one cell only."""
+    """Lower and upper corners of the local cells (m); empty if points are in one cell only."""
     if not isinstance(basis, LatticeBasis):
         return (np.empty((0, basis.grid.geometry.dim)),) * 2
     return basis.cell_corners()
@@ -72,14 +72,14 @@ def _boxes(basis: LatticeBasis | LinearBasis) -> tuple[Array, Array]:
 def domain_shares(
     where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis
 ) -> tuple[npt.NDArray[np.int64], Array]:
-    """Shares of the points' domains in the cells that they overlap; those of a point sum to 1.
+    """Shares of the points' domains in cells. The shares of a point sum to 1.
 
-    What of a domain lies outside the grid is left out; a point without a domain is
-    in its cell with all of it.
+    Parts of a domain outside the grid do not count. A point without a domain is entirely in its
+    cell.
 
     Returns:
-        First entry of every group, shape (groups + 1,), and the shares: for each of a
-        group's points one row of the group's cells.
+        First entry of every group, shape (groups + 1,), and the shares: per point of a group one
+        row with the group's cells.
     """
     counts = np.diff(stencils.cell_start).astype(np.int64) * np.diff(stencils.groups)
     start = running_sum(counts, np.int64)
@@ -96,12 +96,12 @@ def cell_sums(
 ) -> Array:
     """Sum of amounts at the points over each local cell, shape (cells,). Collective.
 
-    The amount of a point is shared out among the cells that its domain overlaps.
+    The amount of a point is divided among the cells of its domain.
 
     Args:
-        where: The points as the stencils see them.
+        where: Positions, half-lengths and volumes of the points.
         stencils: Their stencils.
-        basis: The basis that these belong to.
+        basis: The basis of the stencils.
         amounts: Amounts at the points, shape (points,).
     """
     shared = basis.cells.vector()
@@ -121,9 +121,9 @@ def fill_fractions(
     """Share of each local cell's volume that material points fill, shape (cells,). Collective.
 
     Args:
-        where: The points as the stencils see them.
+        where: Positions, half-lengths and volumes of the points.
         stencils: Their stencils.
-        basis: The basis that these belong to.
+        basis: The basis of the stencils.
     """
     low, high = _boxes(basis)
     lattice = isinstance(basis, LatticeBasis)
@@ -132,12 +132,12 @@ def fill_fractions(
 
 
 def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis) -> Array:
-    """Share of each function's integral that lies in the body, shape (nodes,). Collective.
+    """Share of each function's integral in the body, shape (nodes,). Collective.
 
     Args:
-        where: The points as the stencils see them.
+        where: Positions, half-lengths and volumes of the points.
         stencils: Their stencils.
-        basis: The basis that these belong to.
+        basis: The basis of the stencils.
     """
     shared = basis.nodes.vector()
     s = stencils

@@ -1,4 +1,4 @@
-"""Parts of a matrix between the same fields made one, each pair of nodes in it once."""
+"""Sums of blocks between the same fields, with each pair of nodes once."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Nodes = npt.NDArray[np.int32]
 
 @numba.njit(cache=True, error_model="numpy")
 def _sum(rows, columns, values, start, order, place, new_rows, new_columns, new_values):
-    """Sums of the values of each pair, by rows and columns; returns how many pairs there are.
+    """Sums of the values of each pair, by rows and columns. Returns the number of pairs.
 
-    A sort by counting brings a row's entries together; `place` is -1 everywhere.
+    A counting sort brings the entries of a row together. `place` is -1 everywhere.
     """
     n, width = rows.size, values.shape[1]
     for e in range(n):
@@ -33,12 +33,12 @@ def _sum(rows, columns, values, start, order, place, new_rows, new_columns, new_
     count = at = 0
     while at < n:
         row, first = rows[order[at]], count
-        # each row's first place has run to its end
+        # the first position of each row has moved to its end
         for k in range(at, start[row]):
             column = columns[order[k]]
             if place[column] < 0:
                 place[column] = 0
-                # rows have few columns, most of which come in order
+                # rows have few columns, mostly in order
                 b = count
                 while b > first and new_columns[b - 1] > column:
                     new_columns[b] = new_columns[b - 1]
@@ -81,7 +81,7 @@ def summed(rows: Nodes, columns: Nodes, values: Array) -> tuple[Nodes, Nodes, Ar
 
 
 def merged(blocks: Sequence[Blocks]) -> list[Blocks]:
-    """One part for each pair of fields, with the sums of all; what is alone stays as it is."""
+    """One block per pair of fields, with the sums of all. Single blocks are not copied."""
     pairs: dict[tuple[int, int], list[Blocks]] = {}
     for b in blocks:
         pairs.setdefault((b.row_field, b.column_field), []).append(b)

@@ -1,4 +1,4 @@
-"""Which unknowns a matrix couples: its pattern, and parts of it that stand between nodes."""
+"""The sparsity pattern of a matrix, and blocks of a matrix between nodes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Blocks", "Pattern"]
 
 @dataclass(frozen=True)
 class Blocks:
-    """Part of a matrix between nodes of two fields.
+    """Blocks of a matrix between nodes of two fields.
 
     Attributes:
         row_field, column_field: Numbers of the fields.
@@ -33,13 +33,13 @@ class Blocks:
 
 @numba.njit(cache=True, error_model="numpy")
 def _distribute(rows, values, start, to):
-    """Values by their rows, in the order in which they come; start is zeros and is filled too."""
+    """Sort values by rows, in their given order. `start` has zeros, and is an output too."""
     n = start.size - 1
     for e in range(rows.size):
         start[rows[e] + 1] += 1
     for a in range(n):
         start[a + 1] += start[a]
-    # each row's first place runs to its end, which is the next one's first
+    # the first position of each row moves to its end, where the next row begins
     for e in range(rows.size):
         a = rows[e]
         to[start[a]] = values[e]
@@ -50,7 +50,7 @@ def _distribute(rows, values, start, to):
 
 
 def _by_rows(n: int, rows, values):
-    """Lists of the values of every row: their first entries, shape (n + 1,), and they.
+    """Lists of the values of every row: first entries, shape (n + 1,), and values.
 
     Args:
         n: Number of rows.
@@ -65,7 +65,7 @@ def _by_rows(n: int, rows, values):
 def _couple(
     group_start, group_of, node_start, nodes, extra_start, extra_of, seen, start, neighbours
 ):
-    """Neighbours of every active node, in any order; only counts if the array is empty."""
+    """Neighbours of every active node, in any order. Only counts if `neighbours` is empty."""
     filling = neighbours.size > 0
     total = 0
     for a in range(start.size - 1):
@@ -89,11 +89,11 @@ def _couple(
 
 
 def _graph(n: int, node_start, nodes, extra_rows, extra_columns):
-    """Neighbours of n nodes, in increasing order: their first entries, shape (n + 1,), and they.
+    """Neighbours of n nodes, increasing: first entries, shape (n + 1,), and neighbours.
 
     Args:
         n: Number of nodes.
-        node_start, nodes: Lists of nodes that are all coupled.
+        node_start, nodes: Lists of nodes. All nodes of a list are coupled.
         extra_rows, extra_columns: Further nodes, and a neighbour of each.
     """
     groups = np.arange(len(node_start) - 1, dtype=np.int32)
@@ -106,7 +106,7 @@ def _graph(n: int, node_start, nodes, extra_rows, extra_columns):
             group_start, group_of, node_start, nodes, extra_start, extra_of,
             np.full(n, -1, np.int32), start, neighbours,
         )  # fmt: skip
-    # the transpose of a graph is in order, whatever order that was in, and so is that one's own
+    # transposing a graph sorts its neighbours; a second time gives the graph itself
     every = np.arange(n, dtype=np.int32)
     for _ in range(2):
         start, neighbours = _by_rows(n, neighbours, np.repeat(every, np.diff(start)))
@@ -115,7 +115,7 @@ def _graph(n: int, node_start, nodes, extra_rows, extra_columns):
 
 @numba.njit(cache=True, error_model="numpy")
 def _covers(start, neighbours, new_start, new_neighbours):
-    """Whether every coupling of the second graph is one of the first."""
+    """Whether the first graph contains every coupling of the second graph."""
     for a in range(start.size - 1):
         at, end = start[a], start[a + 1]
         for k in range(new_start[a], new_start[a + 1]):
@@ -127,10 +127,11 @@ def _covers(start, neighbours, new_start, new_neighbours):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _expand(start, neighbours, rows, still, indptr, indices):
-    """Unknowns of a graph of nodes; rows (active nodes, components) is -1 where there is none.
+def _expand(start, neighbours, rows, fixed, indptr, indices):
+    """Pattern of unknowns from a graph of nodes.
 
-    Rows of components that stand still, likewise, have an entry on the diagonal only.
+    `rows` and `fixed`, shape (active nodes, components), are rows of unknowns and of prescribed
+    components, or -1. Rows of prescribed components have an entry on the diagonal only.
     """
     nc = rows.shape[1]
     for a in range(start.size - 1):
@@ -142,8 +143,8 @@ def _expand(start, neighbours, rows, still, indptr, indices):
         for i in range(nc):
             if rows[a, i] >= 0:
                 indptr[rows[a, i] + 1] = count
-            elif still[a, i] >= 0:
-                indptr[still[a, i] + 1] = 1
+            elif fixed[a, i] >= 0:
+                indptr[fixed[a, i] + 1] = 1
     for row in range(indptr.size - 1):
         indptr[row + 1] += indptr[row]
     if indices.size == 0:
@@ -157,18 +158,18 @@ def _expand(start, neighbours, rows, still, indptr, indices):
                         if rows[neighbours[at], k] >= 0:
                             indices[put] = rows[neighbours[at], k]
                             put += 1
-            elif still[a, i] >= 0:
-                indices[indptr[still[a, i]]] = still[a, i]
+            elif fixed[a, i] >= 0:
+                indices[indptr[fixed[a, i]]] = fixed[a, i]
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Where the matrix has entries, on this rank, rows of ghosts included.
+    """The sparsity pattern on this rank, with the rows of ghosts.
 
     Attributes:
         start, neighbours: Graph of the active nodes.
         indptr, indices: Rows and columns of the local unknowns.
-        still: Where entries of the prescribed components' rows are, which are on the diagonal.
+        still: Positions of the diagonal entries in the rows of prescribed components.
     """
 
     start: npt.NDArray[np.int64]
@@ -184,16 +185,15 @@ class Pattern:
         pairs: Sequence[tuple[npt.NDArray, npt.NDArray]],
         old: Pattern | None,
     ) -> Pattern:
-        """Pattern of couplings; a node is numbered with its field's offset.
+        """Pattern of couplings. Nodes are numbered with the offsets of their fields.
 
         Args:
-            lists: First entries and nodes of lists of nodes that are all coupled.
+            lists: First entries and nodes of lists. All nodes of a list are coupled.
             unknowns: The unknowns.
             pairs: Coupled active nodes, shape (n,) each.
-            old: Pattern of the same unknowns, or None. It is returned, to be kept
-                with all that was computed for it, if it has all the couplings;
-                otherwise the new one has its couplings too, so that points that
-                wander about in the same cells soon stop to change it.
+            old: Pattern of the same unknowns, or None. If it contains all couplings, it is returned
+                and all data of the pattern stay valid. Otherwise the new pattern contains its
+                couplings too. So points that move in the same cells soon stop to change it.
         """
         fields = unknowns.fields
         active = np.concatenate([f.nodes + np.int32(f.offset) for f in fields])
@@ -218,7 +218,7 @@ class Pattern:
             rows[at : at + f.nodes.size, : f.components] = f.row_of[f.nodes]
             still[at : at + f.nodes.size, : f.components] = f.still
             at += f.nodes.size
-        # a ghost's row of a prescribed component is its owner's alone
+        # only the owner sets the row of a prescribed component
         still[still >= unknowns.mine] = -1
         indptr = np.zeros(unknowns.local + 1, np.int32)
         _expand(start, neighbours, rows, still, indptr, np.empty(0, np.int32))
@@ -229,7 +229,7 @@ class Pattern:
 
 
 def _one_after_the_other(lists):
-    """Several lists of lists as one."""
+    """Join several lists of lists."""
     if len(lists) == 1:
         return lists[0]
     node_start, total = [np.zeros(1, np.int64)], 0

@@ -13,9 +13,8 @@ from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
 
-from dolfinmpm._platform.checks import choice, number, shown, whole
+from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.formarguments import (
     check_displacement,
@@ -23,6 +22,7 @@ from dolfinmpm.body.formarguments import (
     check_points,
     check_test,
 )
+from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.grid.constants import own_constant
@@ -40,7 +40,7 @@ GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
 
 
 def penalty_factor(what: str, value: Any) -> float:
-    """A penalty's factor, finite and not negative.
+    """The factor of a penalty, finite and not negative.
 
     Raises:
         ParameterError: The value is not a finite number, or negative.
@@ -51,13 +51,13 @@ def penalty_factor(what: str, value: Any) -> float:
 
 
 def check_word(what: str, value: str) -> None:
-    """Raise ParameterError unless a factor given as a word is "adaptive"."""
+    """Raise ParameterError unless a factor in words is "adaptive"."""
     if value != ADAPTIVE:
         raise ParameterError(f'{what} = {value!r} must be a number or "{ADAPTIVE}"')
 
 
 def _scalar(what: str, value: Any, points: MaterialPoints) -> Any:
-    """A number, not negative, or a scalar of UFL on the points' grid."""
+    """A number that is not negative, or a UFL scalar on the points' grid."""
     if isinstance(value, str) and value == ADAPTIVE:
         raise ParameterError(
             f'{what} = "{ADAPTIVE}" must be a number (Pa); "{ADAPTIVE}" is a factor of the laws\' '
@@ -125,12 +125,26 @@ def ghost(
             incompressibility: the local constant rises from 414 at ν = 0 to 7340 at ν = 0.49,
             but only to 441 with M. "adaptive" chooses γ per facet: the smallest γ for which the
             local constant of the two cells is at most `target`, with the tangent of the laws; see
-            `dolfinmpm.assembly.facetpairs`.
+            `dolfinmpm.assembly.facetpenalties`.
 
     Raises:
         ParameterError: γ or the factor is negative or not a number, both are given, or the order,
             the scaling or the target has a wrong value. Or u and v are not increment and test
             function of one field.
+
+    Condition numbers of a body that fills a thousandth of its uppermost cells:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2.001)), per_cell=2, density=2000.0, exact=True)
+    >>> V = mpm.Space(grid, "linear")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> for form in (F, F + mpm.ghost(points, V.increment, V.test, factor=1.0)):
+    ...     problem = mpm.QuasiStatic(form, V.increment, points, mpm.fixed(V, "bottom"))
+    ...     print(f"{mpm.study.condition_number(problem.stiffness()):.0e}")
+    5e+04
+    5e+02
     """
     check_points(points)
     check_increment(points, u)
@@ -140,7 +154,7 @@ def ghost(
         check_word("factor", factor)
         target = TARGET if target is None else number("target", target, 1.0)
     elif target is not None:
-        raise ParameterError(f'target = {shown(target)} is of factor="{ADAPTIVE}" alone')
+        raise ParameterError(f'target = {shown(target)} belongs to factor="{ADAPTIVE}" only')
     of_law = factor is not None
     if of_law and gamma is not None:
         raise ParameterError(
@@ -152,7 +166,7 @@ def ghost(
     elif target is None:
         gamma = _scalar("factor", factor, points) / 30
     order = None if order is None else whole("order", order, 1)
-    # always before γ: FFCx identifies forms by the order in which their constants were made
+    # h always before γ: FFCx identifies forms by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     size = cell_size(points.grid) if space is None else space.cell_size
     if of_law:
@@ -182,14 +196,14 @@ def ghost(
     ]
     facets = points.dS
     if smooth:
-        # exact on the rectangular grids of splines, where UFL would allow for cells of any shape
+        # exact on rectangular grids of splines; UFL would choose a degree for cells of any shape
         metadata = {**facets.metadata(), "quadrature_degree": 2 * order}
         facets = facets.reconstruct(metadata=metadata)
     jumps = sum(terms[1:], start=terms[0])
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's
         return jumps * facets
-    return acting(jumps, facets, "the ghost penalty (mpm.ghost)")
+    return signed_form(jumps, facets, "the ghost penalty (mpm.ghost)")
 
 
 def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: float) -> ufl.Form:
@@ -210,6 +224,17 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: 
     Raises:
         ParameterError: A number is outside its range, or u and v are not increment and test
             function of a displacement.
+
+    It is an integral over whole cells, where `points.dX` is a sum over points:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> term = mpm.soft(points, V.increment, V.test, E=1e6, nu=0.3, eta=1e-3)
+    >>> term.integrals()[0].subdomain_id() == points.dC.subdomain_id()
+    True
     """
     check_points(points)
     check_displacement(points, u=u, v=v)

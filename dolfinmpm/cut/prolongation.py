@@ -1,8 +1,8 @@
-"""Prolongation: some nodes' values as combinations of others'.
+"""Prolongation: values of constrained nodes as combinations of values of independent nodes.
 
-The solver sees the unknowns x of the nodes that remain, the grid sees u = C x. At
-the material points C is taken into the stencils, so that what is assembled is
-Cᵀ K C and Cᵀ f already; the matrices of DOLFINx's assemblers are multiplied.
+The solver uses the unknowns x of the independent nodes, the grid uses u = C x. The stencils of the
+material points contain C. So their assembly directly gives Cᵀ K C and Cᵀ f. The matrices of
+DOLFINx's assemblers are multiplied by C.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["Prolongation", "reduce_blocks"]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _tie(
+def _prolong(
     groups, node_start, nodes, value_start, N, dN, indptr, indices, weights, place, counts,
     new_start, new_value_start, new_nodes, new_N, new_dN,
 ):  # fmt: skip
@@ -68,11 +68,11 @@ def _tie(
 def reduce_blocks(
     row_matrix: sparse.csr_matrix | None, column_matrix: sparse.csr_matrix | None, blocks: Blocks
 ) -> Blocks:
-    """T_iᵀ A T_j of a part A of a matrix, in the same form.
+    """T_iᵀ A T_j for blocks A, in the same format.
 
     Args:
         row_matrix, column_matrix: T of the row and of the column field, shape (nodes of A,
-            nodes of the result), or None where they are the same.
+            nodes of the result), or None for the identity.
         blocks: A.
     """
     if row_matrix is None and column_matrix is None:
@@ -86,7 +86,7 @@ def reduce_blocks(
     n, m = values.shape[1:]
     scalar = values[:, 0, 0]
     if n == m and np.array_equal(values, scalar[:, None, None] * np.eye(n)):
-        # components do not mix, as in a ghost penalty: one product does for all
+        # components do not mix, as in a ghost penalty: one product serves all components
         whole = sparse.csr_matrix((scalar, (rows, columns)), shape=shape)
         single = sparse.csr_matrix(row_part.T @ whole @ column_part)
         made = np.repeat(np.arange(new_rows.size), np.diff(single.indptr))
@@ -113,9 +113,9 @@ def reduce_blocks(
 
 
 def _part(matrix: sparse.csr_matrix | None, nodes):
-    """The rows of T that the nodes need, the nodes' places in it, and its columns' nodes.
+    """The rows of T for the nodes of A, the rows' numbers per entry, and the nodes of the columns.
 
-    Only what A touches takes part, however large the grid is.
+    The cost depends on the nodes of A, not on the size of the grid.
     """
     from scipy import sparse
 
@@ -129,14 +129,18 @@ def _part(matrix: sparse.csr_matrix | None, nodes):
 
 
 class Prolongation:
-    """A matrix C from the values of the nodes that remain to those of all nodes.
+    """A matrix C from values of the independent nodes to values of all nodes.
 
     Args:
-        matrix: C, shape (nodes, nodes) in local numbering. The row of a node that
-            remains is its unit row; the column of one that does not is empty.
+        matrix: C, shape (nodes, nodes) in local numbering. An independent node has a unit row. A
+            constrained node has an empty column.
+
+    Attributes:
+        matrix: The argument.
+        constrained: Mask of the constrained nodes, shape (nodes,).
 
     Raises:
-        ParameterError: The matrix is not of that form.
+        ParameterError: The matrix has another form.
     """
 
     def __init__(self, matrix: sparse.spmatrix):
@@ -146,35 +150,37 @@ class Prolongation:
         nodes = np.arange(self.matrix.shape[0])
         if self.matrix.shape[0] != self.matrix.shape[1]:
             raise ParameterError(f"C must be square in the nodes, got shape {self.matrix.shape}")
-        self.tied = np.diff(self.matrix.indptr) != 1
-        single = nodes[~self.tied]
+        self.constrained = np.diff(self.matrix.indptr) != 1
+        single = nodes[~self.constrained]
         at = self.matrix.indptr[single]
-        self.tied[single] = (self.matrix.indices[at] != single) | (self.matrix.data[at] != 1.0)
+        self.constrained[single] = (self.matrix.indices[at] != single) | (
+            self.matrix.data[at] != 1.0
+        )
         used = np.zeros(self.matrix.shape[0], bool)
         used[self.matrix.indices] = True
-        both = np.flatnonzero(used & self.tied)
+        both = np.flatnonzero(used & self.constrained)
         if both.size:
             raise ParameterError(
-                f"node {both[0]} is tied to others and others are tied to it; "
+                f"node {both[0]} is constrained to others, and others are constrained to it; "
                 "multiply the matrices first"
             )
 
     def stencils(self, s: Stencils) -> Stencils:
-        """Stencils on the nodes that remain, N C and ∇N C."""
-        if not np.any(self.tied[s.nodes]):
+        """Stencils on the independent nodes, N C and ∇N C."""
+        if not np.any(self.constrained[s.nodes]):
             return s
         C = self.matrix.indptr, self.matrix.indices, self.matrix.data
         place = np.full(self.matrix.shape[1], -1, np.int32)
         counts = np.zeros(s.groups.size - 1, np.int64)
         nothing = np.empty(0, np.int32), np.empty(0), np.empty((0, s.dN.shape[1]))
         layout = s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN
-        _tie(*layout, *C, place, counts, np.empty(0, np.int32), np.empty(0, np.int64), *nothing)
+        _prolong(*layout, *C, place, counts, np.empty(0, np.int32), np.empty(0, np.int64), *nothing)
         node_start = running_sum(counts, np.int32)
         value_start = running_sum(counts * np.diff(s.groups), np.int64)
         nodes = np.empty(node_start[-1], np.int32)
         N = np.empty(value_start[-1])
         dN = np.empty((value_start[-1], s.dN.shape[1]))
-        _tie(*layout, *C, place, counts, node_start, value_start, nodes, N, dN)
+        _prolong(*layout, *C, place, counts, node_start, value_start, nodes, N, dN)
         return Stencils(
             s.order, s.groups, node_start, nodes, value_start, N, dN, s.cell_start, s.cells
         )

@@ -1,4 +1,4 @@
-"""Parts of the body, and of boundaries, on what is active: their stencils and means over cells."""
+"""Regions of the body and of boundaries on an activation: stencils and means over cells."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from dolfinmpm.basis.stencils import joined, pushed_forward, selected
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.cellmeans import CellMeans, sharing
-from dolfinmpm.cut.participants import ActiveRegion, BoundaryOf, Participants, RegionTerms
+from dolfinmpm.cut.activation import ActiveDomain, ActiveRegion, RegionTerms, TermsOverBoundary
+from dolfinmpm.cut.cellaverages import CellAverages, sharing_stencils
 
-__all__ = ["region_on", "regions_of"]
+__all__ = ["active_boundary_regions", "active_region"]
 
 
-def region_on(region: RegionTerms, points: MaterialPoints, here: Participants) -> ActiveRegion:
-    """Stencils and means of a part of the body. Collective if it takes means over cells.
+def active_region(region: RegionTerms, points: MaterialPoints, here: ActiveDomain) -> ActiveRegion:
+    """Stencils and means of a region of the body. Collective if it has means over cells.
 
     Args:
-        region: The part.
+        region: The region.
         points: Material points.
-        here: What is active.
+        here: Points, active fields and unknowns.
     """
     fields, unknowns = here.fields, here.unknowns
     F = in_section(points, points["F"]) if here.total else None
@@ -49,7 +49,9 @@ def region_on(region: RegionTerms, points: MaterialPoints, here: Participants) -
         for mover in (fields[k] for k in here.movers):
             if mover.space.tags is not None and (region.tags or set()) <= set(mover.space.tags):
                 first = mover
-        *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
+        *stencils, shared = made(
+            [*own, sharing_stencils(here.where, first.full_stencils, first.basis)]
+        )
         stencils = pushed(stencils)
         where = here.where
         if region.by_centres:
@@ -57,17 +59,17 @@ def region_on(region: RegionTerms, points: MaterialPoints, here: Participants) -
             inside = np.nextafter(bounds(points.grid)[1], -np.inf)
             x = np.minimum(where.x, inside)
             where = replace(where, x=x, half=np.zeros_like(where.half))
-        means = CellMeans(points["V"], where, shared, first.basis)
+        means = CellAverages(points["V"], where, shared, first.basis)
     within = [(f.basis.nodes, u.nodes) for f, u in zip(fields, unknowns.fields)]
     return ActiveRegion(stencils, means, within)
 
 
-def regions_of(of: BoundaryOf, here: Participants) -> list[ActiveRegion]:
-    """The parts of a boundary that does not fit the grid.
+def active_boundary_regions(of: TermsOverBoundary, here: ActiveDomain) -> list[ActiveRegion]:
+    """The regions of a boundary that does not fit the grid.
 
     Args:
         of: Terms over the boundary.
-        here: What is active; its fields have stencils of the markers.
+        here: Active fields with stencils of the markers, and unknowns.
     """
     within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
     markers, made = of.boundary.markers, []
@@ -84,6 +86,6 @@ def regions_of(of: BoundaryOf, here: Participants) -> list[ActiveRegion]:
 
 
 def _pushed(stencils: Sequence[Stencils], F: npt.NDArray[np.float64]) -> list[Stencils]:
-    """Stencils with gradients by present positions; those that are one object stay one."""
+    """Stencils with gradients by present positions. Common objects stay common."""
     now = {id(s): pushed_forward(s, F) for s in stencils}
     return [now[id(s)] for s in stencils]

@@ -10,13 +10,13 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, number, shown
+from dolfinmpm._platform.argumentchecks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.aggregation import MeshRoots, ties
+from dolfinmpm.cut.aggregation import MeshRoots, constraint_matrix
 from dolfinmpm.cut.fractions import fill_fractions, support_shares
 from dolfinmpm.cut.penalties import (
     ADAPTIVE,
@@ -75,8 +75,8 @@ class Stabilisation:
             P-wave modulus of the laws' tangent at the facet. Where E is given it is "scaled".
         target: Local constant of an adaptive ghost penalty; see `ghost`.
         threshold: Fill fraction from which a cell is well-filled. The default is 0.5, and 0.7 and
-            0.9 for quadratic and cubic splines. For its meaning on splines see `ties` in
-            `dolfinmpm.cut.aggregation`.
+            0.9 for quadratic and cubic splines. For its meaning on splines see
+            `constraint_matrix` in `dolfinmpm.cut.aggregation`.
         eta: Share of the elastic stiffness for "soft", 1e-3 by default.
 
     E and nu are moduli of the soil, and every kind accepts them. The other parameters belong to
@@ -85,6 +85,11 @@ class Stabilisation:
     Raises:
         ParameterError: A parameter has the wrong type or a value outside its range, or the kind
             has no such parameter. The message names the parameter.
+
+    >>> import dolfinmpm as mpm
+    >>> weak = mpm.Stabilisation("ghost", factor=0.1)
+    >>> weak.kind, weak.factor, mpm.Stabilisation.takes("aggregation")
+    ('ghost', 0.1, ('threshold',))
     """
 
     kind: str = "none"
@@ -110,7 +115,7 @@ class Stabilisation:
         return _OWN.get(choice("stabilisation", kind, KINDS), ())
 
     def __post_init__(self):
-        # frozen: the words are kept in the spelling of this module
+        # frozen: words are kept in the spelling of this module
         object.__setattr__(self, "kind", choice("stabilisation", self.kind, KINDS))
         if self.scaling is not None:
             scaling = choice("stabilisation's scaling", self.scaling, SCALINGS)
@@ -136,12 +141,12 @@ class Stabilisation:
             if value is not None and name not in _OWN.get(self.kind, ()):
                 having = [f'"{kind}"' for kind, own in _OWN.items() if name in own]
                 raise ParameterError(
-                    f"{name} = {shown(value)} would do nothing: it is of the stabilisation "
+                    f"{name} = {shown(value)} would do nothing: it belongs to the stabilisation "
                     f'{" and ".join(having)}, and this is "{self.kind}"; leave it out'
                 )
         if self.target is not None and self.factor != ADAPTIVE:
             raise ParameterError(
-                f'stabilisation\'s target = {self.target:g} is of factor="{ADAPTIVE}" alone'
+                f'stabilisation\'s target = {self.target:g} belongs to factor="{ADAPTIVE}" only'
             )
 
     @property
@@ -162,7 +167,7 @@ class Stabilisation:
     def force_terms(
         self, points: MaterialPoints, u: Expr, v: Expr, known: Expr | None = None
     ) -> ufl.Form | None:
-        """Its term in the weak form, or None.
+        """The term of the stabilisation in the weak form, or None.
 
         Args:
             points, u, v: See `ghost`.
@@ -191,7 +196,7 @@ class Stabilisation:
         return GHOST_FACTORS[space.basis.degree if space is not None else 1]
 
     def tangent_terms(self, points: MaterialPoints, u: Expr, v: Expr) -> ufl.Form | None:
-        """Its term in the tangent only, or None."""
+        """The term of the stabilisation in the tangent only, or None."""
         if self.kind != "soft":
             return None
         assert self.E is not None
@@ -200,7 +205,7 @@ class Stabilisation:
         )
 
     @property
-    def ties_nodes(self) -> bool:
+    def constrains_nodes(self) -> bool:
         """Whether constraints, or penalties on constraints, make nodes follow others."""
         return self.kind in ("aggregation", "weak-aggregation", "extended")
 
@@ -214,13 +219,13 @@ class Stabilisation:
             return fill_fractions(where, stencils, basis)
         return support_shares(where, stencils, basis)
 
-    def ties(
+    def constraint_matrix(
         self, where: Placement, basis, stencils: Stencils, nodes, fixed, roots: MeshRoots | None
     ) -> sparse.csr_matrix:
-        """The matrix C by which nodes follow others, u = C x. Collective."""
+        """The matrix C of the constraints, u = C x. Collective."""
         filled = self.measure(where, stencils, basis)
         level, extended = self.level(basis.degree), self.kind == "extended"
-        return ties(basis, nodes, filled, level, extended, fixed, roots)
+        return constraint_matrix(basis, nodes, filled, level, extended, fixed, roots)
 
     def penalty(
         self,

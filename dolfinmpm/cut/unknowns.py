@@ -1,4 +1,4 @@
-"""The unknowns of a step: those components of active nodes that no condition prescribes."""
+"""The unknowns of a step: all components of active nodes that no condition prescribes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ import numpy.typing as npt
 from dolfinx.la import InsertMode
 from mpi4py import MPI
 
-from dolfinmpm.cut.rows import EvenRows
 from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["FieldUnknowns", "Nodal", "Unknowns"]
 
 Array = npt.NDArray[np.float64]
+
+
+# Ranks own the nodes of a compact region. Rows that change ranks may lie anywhere in a region, and
+# couple more rows of different ranks. So rows stay while the largest share is at most this multiple
+# of the mean.
+_EVEN = 1.1
 
 
 @dataclass(frozen=True)
@@ -25,11 +30,11 @@ class FieldUnknowns:
 
     Attributes:
         numbering: Numbering of its nodes.
-        components: Components a node.
+        components: Components per node.
         nodes: Active nodes known here that carry unknowns, increasing, shape (n,).
-        fixed: Which components are prescribed, shape (nodes, components).
-        row_of: Local row of each component, -1 where there is none, likewise.
-        offset: What is added to a node's number where nodes of all fields stand in one list.
+        fixed: Mask of the prescribed components, shape (nodes, components).
+        row_of: Local row of each component, or -1, shape (nodes, components).
+        offset: Number to add to a node in lists with nodes of all fields.
         blocks: Whether prescribed components have rows too, see `Unknowns`.
     """
 
@@ -48,33 +53,33 @@ class FieldUnknowns:
 
     @functools.cached_property
     def places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Where the owned unknowns, and prescribed components, are in flat nodal arrays."""
+        """Positions of owned unknowns, and of prescribed components, in flat nodal arrays."""
         flat = self.owned_nodes[:, None] * self.components + np.arange(self.components)
         held = self.fixed[self.owned_nodes]
         return flat[~held].astype(np.intp), flat[held].astype(np.intp)
 
     @functools.cached_property
     def size(self) -> int:
-        """Owned rows, those of prescribed components included where they have some."""
+        """Number of owned rows, with the rows of prescribed components if there are any."""
         return self.owned_nodes.size * self.components if self.blocks else self.places[0].size
 
     @functools.cached_property
     def rows(self) -> npt.NDArray[np.intp] | slice:
-        """Owned unknowns among the field's owned rows."""
+        """Owned unknowns in the field's owned rows."""
         if not self.blocks:
             return slice(None)
         return np.flatnonzero(~self.fixed[self.owned_nodes].ravel())
 
     @functools.cached_property
     def still(self) -> npt.NDArray[np.int32]:
-        """Local rows of prescribed components, shape (known nodes, components), -1 elsewhere."""
+        """Local rows of prescribed components or -1, shape (known nodes, components)."""
         count = self.nodes.size * self.components
         row = np.arange(count, dtype=np.int32).reshape(-1, self.components)
         return np.where(self.fixed[self.nodes] & self.blocks, row, np.int32(-1))
 
 
 class Nodal:
-    """Values at the nodes of all fields, and the one place where ranks exchange them.
+    """Values at the nodes of all fields, with their exchange between ranks.
 
     Args:
         numberings: Numbering of each field's nodes.
@@ -90,40 +95,87 @@ class Nodal:
         self._parallel = numberings[0].comm.size > 1
 
     def add_up(self) -> None:
-        """Add what the ranks have for a node at its owner. Collective."""
+        """Add the values of all ranks at the owner of each node. Collective."""
         if self._parallel:
             for vector in self._vectors:
                 vector.scatter_reverse(InsertMode.add)
 
     def spread(self) -> None:
-        """Tell the owners' values to all ranks that know the nodes. Collective."""
+        """Send the owners' values to all ranks that know the nodes. Collective."""
         if self._parallel:
             for vector in self._vectors:
                 vector.scatter_forward()
 
 
+class RowPartition:
+    """Consecutive rows of ranks, divided evenly if their shares differ much. Collective.
+
+    Args:
+        comm: Communicator.
+        count: Number of rows of the nodes that this rank owns.
+        block: Number of rows that stay together.
+
+    Attributes:
+        owned: Number of rows in the share of this rank.
+        imbalance: Largest share divided by the mean.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, count: int, block: int):
+        self._comm, size = comm, comm.size
+        had = np.concatenate([[0], np.cumsum(comm.allgather(count))])
+        units = had[-1] // block
+        gets = block * (np.arange(size + 1) * units // size)
+        if np.diff(had).max() * size <= _EVEN * had[-1]:
+            gets = had
+        self._same = np.array_equal(had, gets)
+
+        def overlaps(begin, end, parts):
+            return np.maximum(np.minimum(end, parts[1:]) - np.maximum(begin, parts[:-1]), 0)
+
+        rank = comm.rank
+        self._out = overlaps(had[rank], had[rank + 1], gets)
+        self._in = overlaps(gets[rank], gets[rank + 1], had)
+        self.imbalance = float(np.diff(gets).max() * size / max(gets[-1], 1)) or 1.0
+        self.owned = int(gets[rank + 1] - gets[rank])
+
+    def shared_out(self, values: Array) -> Array:
+        """Values in rows of own nodes, sent to the shares of the ranks. Collective."""
+        return self._send(values, self._out, self._in)
+
+    def given_back(self, values: Array) -> Array:
+        """The inverse of `shared_out`. Collective."""
+        return self._send(values, self._in, self._out)
+
+    def _send(self, values: Array, out, into) -> Array:
+        if self._same:
+            return values
+        result = np.empty(into.sum())
+        self._comm.Alltoallv([np.ascontiguousarray(values), out], [result, into])
+        return result
+
+
 class Unknowns:
     """Numbering of the unknowns of all fields. Collective.
 
-    Rows are numbered rank by rank as the ranks own nodes, one field after the other, and owned in
-    shares of that order that are equal or next to it. Everything but this class sees nodes only,
-    so that who owns a row is decided here.
+    Rows are numbered rank by rank in the order of the owned nodes, one field after the other. Each
+    rank owns an equal or nearly equal share of the rows in this order. Only this class decides
+    about the ownership of rows. All other classes use nodes.
 
-    In blocks every active node has a row for each component, so that multigrid knows which
-    belong together; those of prescribed components stand for x = 0.
+    With blocks, each active node has a row per component, so that multigrid knows the components
+    of a node. Rows of prescribed components have the equation x = 0.
 
     Args:
         numberings: Numbering of each field's nodes.
         nodes: Active nodes of each field that carry unknowns, increasing.
-        fixed: Which components are prescribed, (nodes, components) for each field.
-        blocks: Whether there is to be a row for each component; of one field only.
+        fixed: Masks of the prescribed components, (nodes, components) per field.
+        blocks: Whether each component has a row; for one field only.
 
     Attributes:
         fields: One entry per field.
-        owned, rows: Number of rows that this rank owns, and on all ranks.
-        local, mine: Number of rows of nodes known here, and of nodes owned here.
+        owned, rows: Number of rows owned by this rank, and of all rows.
+        local, mine: Number of rows of nodes known on this rank, and of nodes that it owns.
         total: Number of unknowns on all ranks.
-        block: Components that stand together, 1 if they do not.
+        block: Number of components per block, 1 without blocks.
         to_global: Global row of every local row.
     """
 
@@ -140,7 +192,6 @@ class Unknowns:
         free_of = []
         for numbering, active, held in zip(numberings, nodes, fixed):
             free = ~held[active]
-            # those that have rows
             numbered = np.ones_like(free) if blocks else free
             rows = np.full(free.shape, -1, np.int32)
             count = int(np.count_nonzero(numbered))
@@ -160,8 +211,8 @@ class Unknowns:
         self.rows, self.total = (
             int(n) for n in self.comm.allreduce(np.array([self.mine, free_here]), op=MPI.SUM)
         )
-        self._even = EvenRows(self.comm, self.mine, self.block)
-        self.owned = self._even.owned
+        self._partition = RowPartition(self.comm, self.mine, self.block)
+        self.owned = self._partition.owned
         self.to_global: npt.NDArray[np.int32] = np.arange(self.local, dtype=np.int32)
         if self.comm.size > 1:
             self.to_global = self._number(free_of)
@@ -185,7 +236,7 @@ class Unknowns:
     def same(
         self, nodes: Sequence[npt.NDArray[np.int32]], fixed: Sequence, blocks: bool = False
     ) -> bool:
-        """Whether these are the nodes and conditions of all fields, on all ranks. Collective."""
+        """Whether nodes and conditions of all fields are unchanged on all ranks. Collective."""
         here = (
             blocks == (self.block > 1)
             and len(nodes) == len(self.fields)
@@ -199,7 +250,7 @@ class Unknowns:
     @property
     def imbalance(self) -> float:
         """Largest number of rows on a rank over the mean."""
-        return self._even.imbalance
+        return self._partition.imbalance
 
     def nodal(self) -> Nodal:
         """Zeros at the nodes of all fields. Collective."""
@@ -210,10 +261,10 @@ class Unknowns:
 
         Args:
             x: Owned unknowns, shape (owned,).
-            prescribed: Values of prescribed components, (nodes, components) for each field.
-            out: Written at active nodes.
+            prescribed: Values of prescribed components, (nodes, components) per field.
+            out: Output: values at active nodes.
         """
-        x, at = self._even.given_back(x), 0
+        x, at = self._partition.given_back(x), 0
         for field, values, u in zip(self.fields, prescribed, out.arrays):
             free, held = field.places
             u.reshape(-1)[free] = x[at : at + field.size][field.rows]
@@ -222,10 +273,10 @@ class Unknowns:
         out.spread()
 
     def restrict(self, nodal: Sequence[Array]) -> Array:
-        """The owned unknowns' entries of nodal values, 0 in rows of others. Collective.
+        """Entries of nodal values in the owned rows, 0 in rows without unknown. Collective.
 
         Args:
-            nodal: Values, (nodes, components) for each field, at the nodes' owners.
+            nodal: Values, (nodes, components) per field, at the nodes' owners.
 
         Returns:
             Shape (owned,).
@@ -242,12 +293,12 @@ class Unknowns:
         return result
 
     def shared_out(self, entries: Array) -> Array:
-        """What ranks have in rows of nodes they own, shape (mine,), as (owned,). Collective."""
-        return self._even.shared_out(entries)
+        """Values in rows of own nodes, shape (mine,), sent to owned rows, (owned,). Collective."""
+        return self._partition.shared_out(entries)
 
     def given_back(self, x: Array) -> Array:
-        """Owned unknowns in rows of nodes owned here, shape (mine,). Collective."""
-        return self._even.given_back(x)
+        """The inverse of `shared_out`, shape (mine,). Collective."""
+        return self._partition.given_back(x)
 
     def squares(self, entries: Array) -> Array:
         """Sum of the squares of each field's entries on this rank, shape (fields,).
@@ -259,7 +310,7 @@ class Unknowns:
         return np.array([float(part @ part) for part in np.split(entries, ends)])
 
     def only(self, k: int, x: Array) -> Array:
-        """The owned unknowns with 0 in place of all fields but the k-th. Collective."""
+        """The owned unknowns of the k-th field, and 0 for all other fields. Collective."""
         mine = np.zeros(self.mine)
         first = sum(field.size for field in self.fields[:k])
         chosen = slice(first, first + self.fields[k].size)
@@ -267,7 +318,7 @@ class Unknowns:
         return self.shared_out(mine)
 
     def reactions(self, nodal: Sequence[Array]) -> Array:
-        """Entries of nodal values where components of owned nodes are prescribed."""
+        """Entries of nodal values at prescribed components of owned nodes."""
         return _joined([r.reshape(-1)[f.places[1]] for f, r in zip(self.fields, nodal)])
 
     def clear(self, out: Nodal) -> None:

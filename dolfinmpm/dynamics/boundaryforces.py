@@ -36,7 +36,7 @@ from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis import Stencils
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation, ActiveField
+from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.transfer import collect, scatter
@@ -133,7 +133,7 @@ def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
 def _node_masses(field: ActiveField, points: MaterialPoints) -> Array:
     """Lumped masses of all nodes (kg), on all ranks that know them. Collective."""
     sums = Nodal([field.basis.nodes], [1])
-    scatter(field.seen, point_masses(points), np.ones((len(points), 1)), sums.arrays[0])
+    scatter(field.full_stencils, point_masses(points), np.ones((len(points), 1)), sums.arrays[0])
     sums.add_up()
     sums.spread()
     return sums.arrays[0][:, 0]

@@ -13,12 +13,20 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import number, shown, whole
+from dolfinmpm._platform.argumentchecks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["MotionRecord", "Time", "as_yielded", "check_clock", "end_of", "mean_increment", "times"]
+__all__ = [
+    "MotionRecord",
+    "Time",
+    "check_clock",
+    "end_of_step",
+    "mean_increment",
+    "open_time",
+    "times",
+]
 
 
 # Steps of a run that nobody would wait for
@@ -53,7 +61,7 @@ class Time(float):
 _waiting: list[Time] = []
 
 
-def as_yielded(t: Any, now: float) -> Any:
+def open_time(t: Any, now: float) -> Any:
     """The argument of a step, or the open time of a loop with the same number.
 
     A script may write `problem.step(float(t))`, or pass on a number computed from t. A plain
@@ -95,6 +103,10 @@ def times(
     Raises:
         ParameterError: The times do not increase, or are too many. Or dt is given together with
             several times, at_once is not positive, or a pass of an automatic loop took no step.
+
+    >>> import dolfinmpm as mpm
+    >>> [round(float(t), 3) for t in mpm.times(0.3, dt=0.1)]
+    [0.1, 0.2, 0.3]
     """
     start = number("start", start, unit="s")
     if np.ndim(end) == 1:
@@ -186,7 +198,7 @@ def mean_increment(velocity: Callable[[float], float], step: Step) -> float:
     return mean * step.dt / step.share
 
 
-def end_of(t: float | None, now: float, wanted: float | None) -> float:
+def end_of_step(t: float | None, now: float, wanted: float | None) -> float:
     """End of a step (s).
 
     Args:

@@ -36,11 +36,11 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import shown, truth
+from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 
-__all__ = ["BodyAtNodes", "Collision", "Touching"]
+__all__ = ["BodyAtNodes", "Collision", "NodalContact"]
 
 Array = npt.NDArray[np.float64]
 
@@ -63,6 +63,22 @@ class Collision:
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    The first body pushes the second:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> first = mpm.fill(grid, mpm.Box((0, 0), (1, 2)), per_cell=2, density=2000.0, tag=1)
+    >>> points = first + mpm.fill(grid, mpm.Box((1, 0), (2, 2)), per_cell=2, density=2000.0, tag=2)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> touch = mpm.Collision((1, 2), friction=0.3)
+    >>> problem = mpm.Explicit(F, V.increment, points, collision=touch)
+    >>> points["velocity"][points["tag"] == 1] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> bool(points["velocity"][points["tag"] == 2, 0].mean() > 0.0)
+    True
     """
 
     tags: Sequence[int | tuple[int, ...]] = (1, 2)
@@ -103,7 +119,7 @@ class BodyAtNodes:
     slope: Array
 
 
-class Touching:
+class NodalContact:
     """Nodes at which bodies touch in a step, and the momentum exchanged there.
 
     Args:
@@ -120,10 +136,10 @@ class Touching:
             both = (a.mass > 0.0) & (b.mass > 0.0)
             if room is not None:
                 left = room - sum(body.volume for body in bodies)
-                # beside the surface a node has very little of one body, so that no gap is small
+                # beside a surface, a node has very little of one body; then no gap is small enough
                 both &= left <= np.minimum(_ROOM * room, _LEFT * np.minimum(a.volume, b.volume))
             k = np.flatnonzero(both)
-            # by volume: where one body ends beside the node, the other's surface counts for more
+            # weights by volume: if one body ends beside the node, the other's surface counts more
             share = [body.slope[k] * (body.volume[k] / body.mass[k])[:, None] for body in (a, b)]
             n = _unit(share[0] - share[1])
             self._pairs.append((i, j, k, n, np.zeros_like(n), np.zeros_like(n)))
@@ -137,7 +153,7 @@ class Touching:
         return found
 
     @property
-    def got(self) -> Array:
+    def received(self) -> Array:
         """Momentum received by the first body (kg m/s), shape (nodes, d)."""
         found = np.zeros_like(self._bodies[0].slope)
         for i, _, k, _, impulse, _ in self._pairs:
@@ -145,11 +161,11 @@ class Touching:
                 found[k] -= impulse
         return found
 
-    def push(self, velocities: Sequence[Array], ahead: float = 0.0) -> list[Array]:
+    def exchange(self, velocities: Sequence[Array], ahead: float = 0.0) -> list[Array]:
         """Exchange the momentum that stops the approach of bodies. Changes the velocities.
 
-        The pushes of one step add up. A later push may take back momentum of an earlier push. But
-        their sum never pulls bodies together, and never exceeds the limit of friction.
+        The exchanges of one step add up. A later exchange may take back momentum of an earlier one.
+        But their sum never pulls bodies together, and never exceeds the limit of friction.
 
         Args:
             velocities: Velocities of each body (m/s), shape (nodes, d) each.
@@ -172,7 +188,7 @@ class Touching:
             more = new + ahead * (new - impulse) - at
             impulse[:] = new
             at += more
-            # what one body does at a node, the other does with the opposite sign
+            # impulses on both bodies are opposite
             velocities[i][k] -= more / a
             velocities[j][k] += more / b
         return [V - old for V, old in zip(velocities, before)]

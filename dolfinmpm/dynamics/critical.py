@@ -15,8 +15,9 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
-from dolfinmpm.dynamics.mass import Mass, MassTerms
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.dynamics.mass import MassTerms
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve import spectra
 from dolfinmpm.solve.operator import Operator
@@ -27,26 +28,33 @@ __all__ = ["critical_step", "exact_step", "factor", "wave_speed"]
 Array = npt.NDArray[np.float64]
 
 # Smallest stable step of a bar with any cut, in h/c, by degree of the functions and by averaging
-# over domains. Lumped linear functions have no lower bound: their step goes to 0
-# with the share of a point in a node; 1 is the step of full cells. In two dimensions, at ν = 0.45,
-# quadratic and cubic splines have 3 % and 12 % less, which a Courant number of 0.8 leaves room for;
-# GIMP has none either where points are trimmed to slivers of domains.
+# over domains. Lumped linear functions have no lower bound: their step goes to 0 with the share of
+# a point in a node; 1 is the step of full cells. In two dimensions, at ν = 0.45, quadratic and
+# cubic splines have 3 % and 12 % less; a Courant number of 0.8 covers this. GIMP has no lower bound
+# either if domains of points are trimmed to slivers.
 _LUMPED = {(1, False): 1.0, (1, True): 0.66, (2, False): 0.88, (3, False): 1.4}
 _LUMPED |= {(2, True): 1.1, (3, True): 1.4}
-# Consistent mass with the usual ghost penalty; 1/√3 of linear functions in full cells
+# Consistent mass with the usual ghost penalty; linear functions in full cells have 1/√3
 _CONSISTENT = {1: 0.5, 2: 0.42, 3: 0.25}
-# The same behind C, which ties nodes: continuations make the spectrum longer. Below the least of
-# some hundred cuts of bars, and of discs and blocks with ν = 0 ... 0.45, 2² to 4² points per cell:
-# consistent 0.23 (GIMP), 0.19 and 0.13, lumped 0.81, 1.06 and 1.25. Linear functions have none here
-# either: a well-filled cell may have a single point, at its edge. Of cuts that leave points a
-# tenth of a cell they have 0.57 lumped; consistent ones need a ghost penalty, or GIMP.
+# The same with constraints C between nodes, which enlarge the spectrum. The values are below the
+# minimum of some hundred cuts of bars, and of discs and blocks with ν = 0 ... 0.45 and 2² to 4²
+# points per cell: consistent 0.23 (GIMP), 0.19 and 0.13; lumped 0.81, 1.06 and 1.25. Linear
+# functions have no lower bound here either: a well-filled cell may have a single point at its edge.
+# With cuts that leave points a tenth of a cell, they have 0.57 with a lumped mass. With a
+# consistent mass they need a ghost penalty, or GIMP.
 _TIED_CONSISTENT = {1: 0.2, 2: 0.18, 3: 0.11}
 _TIED_LUMPED = {(1, False): 0.5, (1, True): 0.66, (2, False): 0.88, (2, True): 1.0}
 _TIED_LUMPED |= {(3, False): 1.2, (3, True): 1.2}
 
 
 def factor(basis: Any, mass: str, tied: bool = False) -> float:
-    """The critical step in units of h/c, for a basis and a kind of mass, with or without C."""
+    """The critical step in units of h/c.
+
+    Args:
+        basis: Basis of the displacement.
+        mass: "lumped" or "consistent".
+        tied: Whether constraints C act between nodes.
+    """
     if mass == "consistent":
         return (_TIED_CONSISTENT if tied else _CONSISTENT)[basis.degree]
     averaged = isinstance(basis, LatticeBasis) and basis.averaged
@@ -62,7 +70,7 @@ def wave_speed(points: MaterialPoints, declarations: Sequence[Any]) -> Array:
     """
     stiffness = np.zeros(len(points))
     for declaration in declarations:
-        stiffness[declaration.rows] = declaration.stiffness()
+        stiffness[declaration.rows] = declaration.elastic.stiffness()
     return np.sqrt(stiffness / points.fields.read("density"))
 
 
@@ -80,7 +88,7 @@ def critical_step(
         basis: Basis of the displacement.
         declarations: Laws in the form.
         mass: "lumped" or "consistent".
-        tied: Whether nodes follow other nodes.
+        tied: Whether constraints C act between nodes.
 
     Raises:
         ParameterError: No law has a stiffness.
@@ -93,14 +101,14 @@ def critical_step(
     fastest = points.comm.allreduce(float(speed.max(initial=0.0)), op=MPI.MAX)
     if not math.isfinite(fastest) or fastest <= 0.0:
         raise ParameterError(
-            f"the fastest wave in the body has {fastest:g} m/s, so that there is no critical step: "
+            f"the fastest wave in the body has {fastest:g} m/s, so there is no critical step: "
             "give the form a law with a stiffness"
         )
     return factor(basis, mass, tied) * h / fastest
 
 
 def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: float) -> float:
-    """2/√λ_max of the tangent and the mass (s), of the points' terms alone. Collective.
+    """2/√λ_max of tangent and mass (s), without penalties on the increment. Collective.
 
     Args:
         form: The weak form, whose tangent is compiled.
@@ -110,7 +118,7 @@ def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: floa
     """
     # explicit steps use no tangent, and so no penalties on the increment
     operator = Operator(form, replace(here, blocks={"mass": here.blocks_of("mass")}))
-    operator.rest()
+    operator.move_to_zero()
     K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))
     operator.tangent(K)
     Mass(terms, here, scaling).add_to(M)

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def _kinetic(density, V0, v):
-    """½ Σ m v² (J) of points, whose mass is that of their first volume."""
+    """½ Σ m v² (J) of points; the mass is the density times the initial volume."""
     total = 0.0
     for p in range(v.shape[0]):
         square = 0.0
@@ -46,8 +46,8 @@ def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Arr
 
     Args:
         points: Material points with velocities.
-        moment: Moments B of the points' affine velocities (m²/s), shape (points, d, d), which add
-            Σ m (B₂₁ − B₁₂) and its like in 3D.
+        moment: Moments B of the points' affine velocities (m²/s), shape (points, d, d). They add
+            Σ m (B₂₁ − B₁₂), and the corresponding components in 3D.
     """
     read = points.fields.read
     m, more = read("density") * read("V0"), (0, 3 - points.gdim)
@@ -61,7 +61,7 @@ def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Arr
 
 
 def fastest_point(points: MaterialPoints) -> str:
-    """Number, place and speed of the point that is fastest, of all ranks. Collective."""
+    """Number, position and speed of the fastest point of all ranks, as text. Collective."""
     speed, worst = np.linalg.norm(points["velocity"], axis=1), None
     if len(points):
         p = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
@@ -72,7 +72,7 @@ def fastest_point(points: MaterialPoints) -> str:
 
 
 def stress_volumes(points: MaterialPoints, declarations: Sequence, V: Array) -> Array:
-    """Volumes on which stresses act (m^d), shape (points,): in the linear theory the first ones.
+    """Volumes on which stresses act (m^d), shape (points,); initial volumes for small strains.
 
     Args:
         points: Material points.

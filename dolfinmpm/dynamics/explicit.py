@@ -19,36 +19,35 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm._platform.checks import check_kind, choice, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.boundaryforces import Stiffness, check_boundaries, weighed
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
-from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
+from dolfinmpm.dynamics.collisionsteps import CollisionSteps, collision_error
 from dolfinmpm.dynamics.critical import critical_step, exact_step
-from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
-from dolfinmpm.dynamics.energybalance import EnergyBalance
-from dolfinmpm.dynamics.explicitcall import Call
-from dolfinmpm.dynamics.faces import Sides, divided
+from dolfinmpm.dynamics.energybounds import EnergyBalance
+from dolfinmpm.dynamics.explicitcall import ExplicitCall
+from dolfinmpm.dynamics.faces import Sides, split_conditions
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
-from dolfinmpm.dynamics.fused import Fused
+from dolfinmpm.dynamics.fused import FusedSteps
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
-from dolfinmpm.dynamics.general import General
-from dolfinmpm.dynamics.ledger import Energies, Ledger
+from dolfinmpm.dynamics.general import GeneralSteps
+from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
-from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.problemchecks import refuse_field_tags
 from dolfinmpm.solve.scheme import Scheme
 
 __all__ = ["Explicit"]
@@ -56,7 +55,7 @@ __all__ = ["Explicit"]
 Array = npt.NDArray[np.float64]
 
 
-class Explicit(Problem):
+class Explicit(MovingBody, Problem):
     """A weak form in time, by explicit steps: no tangent, no Newton iteration, no factorisation.
 
     The form is that of the quasi-static problem: internal forces less loads. The mass comes from
@@ -109,6 +108,20 @@ class Explicit(Problem):
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    A free body keeps its momentum:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.Explicit(F, V.increment, points)
+    >>> points["velocity"] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> problem.momentum()[0].round(6).item(), problem.critical_step() < 0.1
+    (16000.0, True)
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
@@ -117,7 +130,7 @@ class Explicit(Problem):
     # `time` is the time of the state
     _live = frozenset({"courant", "time"})
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -154,9 +167,11 @@ class Explicit(Problem):
             )
         check_clock(time, points.grid)
         settings.mapping.add_fields(points)
-        conditions, faces = divided(bcs)
+        conditions, faces = split_conditions(bcs)
         super().__init__(form, increment, points, conditions, scheme=Marching(self), **options)
-        refuse_bodies(self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)")
+        refuse_field_tags(
+            self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)"
+        )
         check_boundaries(self.form, mass)
         if points.dt in extract_constants(form):
             raise FormError(
@@ -173,15 +188,15 @@ class Explicit(Problem):
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points, self.bcs)
-        self._loop: Colliding | Fused | General
+        self._loop: CollisionSteps | FusedSteps | GeneralSteps
         if collision is not None:
             check_kind("collision", collision, Collision, "give mpm.Collision(tags=(1, 2))")
-            raise_together(points.comm, why_it_does_not_collide(self, mass, settings))
-            self._loop = Colliding(self, self.held, self.form.updates, settings, sides, collision)
+            raise_together(points.comm, collision_error(self, mass, settings))
+            self._loop = CollisionSteps(self, settings, sides, collision)
             return
-        found = self._fused(sides, options) if truth("fused", fused) else "it was not to be"
+        found = self._fused(sides, options) if truth("fused", fused) else "fused=False"
         if isinstance(found, str):
-            self._loop = General(self, self.held, self.form.updates, settings, sides, found)
+            self._loop = GeneralSteps(self, settings, sides, found)
         else:
             self._loop = found
 
@@ -196,7 +211,7 @@ class Explicit(Problem):
 
         It is the mean over the last step.
         """
-        if not isinstance(self._loop, Colliding):
+        if not isinstance(self._loop, CollisionSteps):
             return np.zeros(self.points.gdim)
         return self._loop.force
 
@@ -220,7 +235,7 @@ class Explicit(Problem):
         """The velocity mapping between points and grid."""
         return self.settings.mapping
 
-    def _fused(self, sides: Sides, options: dict[str, Any]) -> Fused | str:
+    def _fused(self, sides: Sides, options: dict[str, Any]) -> FusedSteps | str:
         """The fused loops, or why there are none."""
         form, field, settings = self.form, self.fields[0], self.settings
         reason = why_not(form, field, self.terms.kind, settings, self.held, options)
@@ -232,32 +247,11 @@ class Explicit(Problem):
             rigid = RigidContacts(contacts, self.bodies, self.points)
         basis, domains = field.space.basis, field.space.domains
         assert isinstance(basis, LatticeBasis)
-        return Fused(self.points, basis, self.held, laws, loads, settings, sides, domains, rigid)
+        return FusedSteps(
+            self.points, basis, self.held, laws, loads, settings, sides, domains, rigid
+        )
 
-    @together
-    def energies(self) -> Energies:
-        """Present energies of the body, and work done since the first step. Collective.
-
-        The kinetic energy is at the time of the positions, half a step after the velocities.
-        Where bodies meet in one velocity field, the mapping takes energy from them, see `Energies`.
-        """
-        return self.ledger.energies()
-
-    @together
-    def momentum(self) -> Array:
-        """Linear momentum of the body (kg m/s), shape (d,). Collective."""
-        return momentum_of(self.points)
-
-    @together
-    def angular_momentum(self) -> Array:
-        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
-
-        With "apic", the points' affine velocities are included.
-        """
-        spins = self.mapping.kind == "apic"
-        return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
-
-    @together
+    @collective
     def critical_step(self, exact: bool = False) -> float:
         """The longest stable step (s). Collective.
 
@@ -279,14 +273,14 @@ class Explicit(Problem):
         found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
         # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
-        held = self._loop.held() if isinstance(self._loop, General) else Stiffness()
+        held = self._loop.held() if isinstance(self._loop, GeneralSteps) else Stiffness()
         rate = (1.0 + held.share) / found**2 + 0.25 * (springs + held.rate)
         return math.sqrt(scaling / rate)
 
     def _set_penalties(self, here: Activation) -> None:
         self.form.set_penalties(replace(here, blocks={}), ghost=False)
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
 
@@ -300,11 +294,15 @@ class Explicit(Problem):
                 state is then an earlier one, at `time`.
             PointsOutsideGridError: Points would leave the grid.
         """
-        return Call(self, self._loop, self._between, t).run()
+        return ExplicitCall(self, self._loop, self._between, t).run()
 
-    @together
+    @collective
     def save(self, path: str | os.PathLike[str]) -> None:
-        """See `Problem.save`. Collective."""
+        """See `Problem.save`. Collective.
+
+        The next step sorts the points by cells, as a restarted run does. So a run that saves and
+        goes on has the bits of the restarted run. The last digits of a run that never saves differ.
+        """
         super().save(path)
         # a run from the file begins with sorted points, so this run must do the same
         self._loop.renew()

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Set
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.assembly.term import NewState
-from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.settings import Settings
-from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.solve.advance import advance
-from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
 __all__ = ["ExplicitBase"]
@@ -29,8 +24,6 @@ class ExplicitBase(ABC):
 
     Args:
         problem: The problem.
-        held: Its essential conditions.
-        updates: Fields of the points that a step sets to UFL expressions.
         settings: Settings of the steps.
         sides: Faces of the grid that act on the body.
         instead: Reason why the steps are not fused.
@@ -44,17 +37,9 @@ class ExplicitBase(ABC):
 
     at_once, keeps_speed = 1, False
 
-    def __init__(
-        self,
-        problem: Any,
-        held: Held,
-        updates: Sequence,
-        settings: Settings,
-        sides: Sides,
-        instead: str,
-    ):
-        self._problem, self._held, self._updates = problem, held, updates
-        self._settings, self._sides, self.instead = settings, sides, instead
+    def __init__(self, problem: Any, settings: Settings, sides: Sides, instead: str):
+        self._problem, self._settings = problem, settings
+        self._sides, self.instead = sides, instead
         self._work = Work()
 
     def work(self) -> Work:
@@ -107,9 +92,3 @@ class ExplicitBase(ABC):
         Returns:
             Number of points that changed rank, or the reason of a failure.
         """
-
-    def _advanced(self, operator: Operator, moves: bool, x: Array | None = None) -> NewState | str:
-        """The state at the end of the step, or the reason of a failure; see `advance`."""
-        points = self._problem.points
-        number = len(self._problem.history) + 1
-        return advance(operator, self._updates, moves, largest_cell(points.grid), number, x)

@@ -1,4 +1,4 @@
-"""One call of `Explicit.step`: how many steps, how long they are, and what ends them."""
+"""One call of `Explicit.step`: number, length and checks of its steps."""
 
 from __future__ import annotations
 
@@ -7,47 +7,47 @@ import time as clock
 from collections.abc import Set
 from typing import Any
 
-from dolfinmpm._platform import garbage, stages
+from dolfinmpm._platform import petscgarbage, stages
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm.body.loadbalance import balance, imbalance
-from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, end_of
+from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time
 from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.snapshot import CallMemory
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.step import Step
 
-__all__ = ["Call"]
+__all__ = ["ExplicitCall"]
 
-# Steps after which the critical step is found anew, and the energies are looked at
-_EVERY = 20
-# Steps after which the state is kept, to go back to: a copy costs about as much as one step
-_KEEP = 100
-# Fields that kinetic energy and work follow from, and those that no speed of a wave does
+# Number of steps between updates of the critical step, and between checks of the energy balance
+_CHECK_EVERY = 20
+# Number of steps between copies of the state; a copy costs about as much as one step
+_COPY_EVERY = 100
+# Fields that determine kinetic energy and work, and fields without effect on the critical step
 _KINETIC = frozenset(("velocity", "density", "V0", "F"))
-_BESIDE = frozenset(("x", "cell", "V", "l", "stress", "acceleration"))
+_NOT_CRITICAL = frozenset(("x", "cell", "V", "l", "stress", "acceleration"))
 
 
-class Call:
-    """Explicit steps from the time of a problem's state to another.
+class ExplicitCall:
+    """Explicit steps of one call of `Explicit.step`.
 
     Args:
         problem: The problem.
-        loop: What takes the steps.
-        memory: What the problem keeps from call to call.
-        t: The time (s), or one of `times`.
+        loop: The object that takes the steps, such as `FusedSteps`.
+        memory: Data that the problem keeps from call to call.
+        t: End of the last step (s), or a time of `times`.
 
     Raises:
-        ParameterError: The time is not later than that of the state.
+        ParameterError: The time is not later than the time of the state.
     """
 
     def __init__(self, problem: Any, loop: Any, memory: CallMemory, t: float | None):
         self._problem, self._loop, self._memory = problem, loop, memory
-        self._most, self._t = math.inf, as_yielded(t, problem.time)
+        self._most, self._t = math.inf, open_time(t, problem.time)
         if isinstance(self._t, Time) and self._t.open:
             self._most = min(loop.at_once, self._t.at_once)
         given = isinstance(self._t, Time)
-        self._target = self._t.end if given else end_of(self._t, problem.time, None)
+        self._target = self._t.end if given else end_of_step(self._t, problem.time, None)
         if not self._target > problem.time:
             raise ParameterError(
                 f"t = {self._target:g} s must be later than the time of the state, "
@@ -56,31 +56,31 @@ class Call:
         self._whole, self._record = self._target - problem.time, MotionRecord()
 
     def run(self) -> MotionRecord:
-        """Take the steps; returns what they did. Collective.
+        """Take the steps; returns their record. Collective.
 
         Raises:
-            InstabilityError: The state is not finite, or energy comes from nowhere; it is then the
-                last one that was kept.
+            InstabilityError: The state is not finite, or energy grows without a cause. The state
+                is then the last copy.
         """
         started, watch = clock.perf_counter(), stages.Watch()
         problem, record = self._problem, self._record
-        touched = self._enter()
+        touched = self._begin()
         while problem.time < self._target and record.parts < self._most:
-            if record.parts % _EVERY == 0:
-                self._look(touched if record.parts == 0 else frozenset())
-            self._go_on()
-        self._leave()
+            if record.parts % _CHECK_EVERY == 0:
+                self._check_and_copy(touched if record.parts == 0 else frozenset())
+            self._take_steps()
+        self._end()
         record.seconds, record.stages = clock.perf_counter() - started, watch.stop()
         problem.history.append(record)
         if isinstance(self._t, Time):
             self._t.reached = problem.time
         return record
 
-    def _enter(self) -> Set[str]:
-        """Begin; returns fields that were changed since the last call. Collective."""
+    def _begin(self) -> Set[str]:
+        """Begin the call; returns the fields changed since the last call. Collective."""
         problem, memory = self._problem, self._memory
         check_loads(problem.loads.items, problem.form.given, problem.bcs, problem.comm)
-        problem._begin()
+        problem._check_still_valid()
         touched = memory.touched(problem.points)
         if touched:
             raise_together(problem.comm, problem.points.fault())
@@ -89,39 +89,45 @@ class Call:
             problem.ledger.begin()
         self._loop.start(1.0 / self._whole, touched)
         memory.state.time = math.nan
-        if not (memory.single and touched <= _BESIDE and self._loop.keeps_speed):
-            memory.since = _EVERY
+        if not (memory.single and touched <= _NOT_CRITICAL and self._loop.keeps_speed):
+            memory.steps_since = _CHECK_EVERY
         return touched
 
-    def _look(self, touched: Set[str]) -> None:
-        """Look at the energies, and keep the state if it is time to. Collective."""
+    def _check_and_copy(self, touched: Set[str]) -> None:
+        """Check the energy balance, and copy the state if a copy is due. Collective."""
         problem, parts = self._problem, self._record.parts
-        garbage.free(problem.comm)
+        petscgarbage.free(problem.comm)
         if parts or touched & _KINETIC:
             self._check_energy(begins=parts == 0)
-        if parts % _KEEP == 0:
+        if parts % _COPY_EVERY == 0:
             self._memory.state.take(problem.time, problem.ledger.work, touched)
 
-    def _go_on(self) -> None:
-        """The next steps that are taken at once, all equal. Collective."""
+    def _take_steps(self) -> None:
+        """Choose number and length of the next equal steps, and take them. Collective."""
         problem, memory, parts = self._problem, self._memory, self._record.parts
-        if memory.since >= _EVERY or problem.form.boundaries:
-            # what comes to a wall is held from then on
-            memory.critical, memory.since = problem.critical_step(), 0
+        if memory.steps_since >= _CHECK_EVERY or problem.form.boundaries:
+            # a point that reaches a wall changes the critical step
+            memory.critical, memory.steps_since = problem.critical_step(), 0
         longest, left = problem.courant * memory.critical, self._target - problem.time
         count = max(1, math.ceil(left / longest * (1 - 1e-12)))
         dt = left / count
         now = int(min(count, self._loop.at_once, self._most - parts))
         self._check_speeds(dt)
         now = problem.bodies.followed(dt, now)
-        self._advance(now, dt, now < min(count, self._most - parts))
-        memory.since += now
+        self._run(now, dt, now < min(count, self._most - parts))
+        memory.steps_since += now
         if abs(problem.time - self._target) <= 1e-9 * dt:
             # rounding must not add a step
             problem.time = self._target
 
-    def _advance(self, count: int, dt: float, more: bool) -> None:
-        """Equal steps of a length (s), and whether others follow. Collective."""
+    def _run(self, count: int, dt: float, more: bool) -> None:
+        """Take equal steps. Collective.
+
+        Args:
+            count: Number of steps.
+            dt: Length of each step (s).
+            more: Whether further steps follow in this call.
+        """
         problem, record, whole = self._problem, self._record, self._whole
         start, time = problem.time, problem.settings.clock
 
@@ -133,7 +139,7 @@ class Call:
             return Step(end, dt, dt / whole)
 
         work = problem.ledger.work
-        # velocities are half of the last step behind
+        # velocities are half of the last step behind positions
         kick = 0.5 * (work.length + dt) if work.length else dt
         taken, migrated, reason = self._loop.run(count, dt, kick, more, begin)
         work.add(self._loop.work())
@@ -143,10 +149,10 @@ class Call:
         if reason is not None:
             raise self._unstable(reason, dt)
 
-    def _leave(self) -> None:
+    def _end(self) -> None:
         """End the call. Collective."""
         problem, record, memory = self._problem, self._record, self._memory
-        problem.loads.release()
+        problem.loads.accept()
         self._check_energy()
         record.time = problem.time
         record.unknowns = problem.here.unknowns.total if problem.here is not None else 0
@@ -156,26 +162,26 @@ class Call:
         memory.moment, memory.single = problem.points.fields.moment(), record.parts == 1
 
     def _check_speeds(self, dt: float) -> None:
-        """Raise where steps of that length (s) do not follow a rigid body. Collective."""
+        """Raise if rigid bodies are too fast for steps of a length (s). Collective."""
         bodies = self._problem.bodies
         fault = bodies.fault(dt)
         advice = "give a smaller velocity, or a smaller courant number"
         raise_together(
             self._problem.comm, None if fault is None else ParameterError(f"{fault}; {advice}")
         )
-        # all ranks know alike where forces have driven the free ones
+        # forces drive free bodies in the same way on all ranks
         fault = bodies.fault(dt, inertia=True) if bodies.free else None
         if fault is not None:
             raise self._unstable(fault, dt)
 
     def _check_energy(self, begins: bool = False) -> None:
-        """Raise InstabilityError if energy comes from nowhere. Collective."""
+        """Raise InstabilityError if energy grows without a cause. Collective."""
         reason = self._problem.balance.fault(begins)
         if reason is not None:
             raise self._unstable(reason, self._record.dt)
 
     def _unstable(self, reason: str, dt: float) -> InstabilityError:
-        """What is known of a step that ended in no state; goes back to one. Collective."""
+        """The error about a failed step. The state goes back to the last copy. Collective."""
         problem = self._problem
         fastest, energies = fastest_point(problem.points), problem.energies()
         at, longest = problem.time, problem.critical_step()
@@ -189,13 +195,13 @@ class Call:
         )
 
     def _go_back(self) -> None:
-        """To the last state that was kept. Collective."""
+        """Restore the last copy of the state. Collective."""
         problem, state = self._problem, self._memory.state
         problem.bodies.reset()
         if math.isnan(state.time):
             # nothing has moved yet
             return
-        state.put(problem.ledger.work)
+        state.restore(problem.ledger.work)
         problem.ledger.end()
         problem.balance.forget()
         problem.time = state.time

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, number, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
@@ -22,10 +22,18 @@ from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.held import inherited
+from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.grid.lattice import require_lattice
 
-__all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
+__all__ = [
+    "Face",
+    "Faces",
+    "Sides",
+    "absorbing",
+    "frictional",
+    "set_velocities",
+    "split_conditions",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -67,7 +75,7 @@ class Face:
         return rates[0 if component == self.axis else 1] > 0.0
 
 
-@together
+@collective
 def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     """Sides of the grid with Coulomb friction: the body may leave them, not pass. Collective.
 
@@ -81,13 +89,28 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
 
     Raises:
         ParameterError: A side is unknown, or μ is negative.
+
+    A body slides along the bottom, and is slowed down:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> sides = mpm.frictional(V, "bottom", friction=0.4)
+    >>> problem = mpm.Explicit(F, V.increment, points, sides)
+    >>> points["velocity"] = (1.0, -0.1)
+    >>> before, record = problem.momentum()[0], problem.step(0.05)
+    >>> bool(problem.momentum()[0] < before)
+    True
     """
     _check_sides(space, sides)
     mu = friction_coefficient(friction)
     return [_face(space, side, mu, None) for side in sides]
 
 
-@together
+@collective
 def absorbing(
     space: Space, *sides: str, density: float, p_speed: float, s_speed: float = 0.0
 ) -> list[Face]:
@@ -106,6 +129,21 @@ def absorbing(
         ParameterError: A side is unknown, a number is outside its range, or s_speed exceeds
             p_speed.
         UnsupportedGridError: The grid is not rectangular.
+
+    A wave leaves at the bottom, and takes energy with it:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> sides = mpm.absorbing(V, "bottom", density=2000.0, p_speed=26.0, s_speed=14.0)
+    >>> problem = mpm.Newmark(F, V.increment, points, sides)
+    >>> points["velocity"] = (0.0, -1.0)
+    >>> record = problem.step(0.1)
+    >>> bool(points["velocity"][:, 1].mean() > -1.0)
+    True
     """
     _check_sides(space, sides)
     require_lattice(space.grid, "absorbing")
@@ -151,12 +189,8 @@ def _face(space: Space, side: str, friction, impedance) -> Face:
     return Face(space, condition.nodes, axis, end, friction, impedance, name)
 
 
-def divided(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
-    """Separate a list into conditions and faces.
-
-    Raises:
-        ParameterError: The argument is not a list.
-    """
+def split_conditions(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
+    """Separate a list into conditions and faces. The problem checks other arguments."""
     if not isinstance(bcs, (list, tuple)):
         return bcs, []  # type: ignore[return-value]
     faces = [one for one in bcs if isinstance(one, Face)]
@@ -199,7 +233,7 @@ class Faces:
             base = face.space.basis
             marks = np.zeros(base.nodes.size)
             marks[face.nodes] = 1.0
-            nodes = np.flatnonzero(inherited(marks, base, basis))
+            nodes = np.flatnonzero(renumbered(marks, base, basis))
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
                 self._rubbing.append((nodes, face.axis, outward, face.friction))

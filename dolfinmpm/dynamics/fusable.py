@@ -1,4 +1,4 @@
-"""Forms supported by the fused loops, and the data for the loops."""
+"""Forms supported by the fused loops, and their data for the loops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ufl.constantvalue import Zero
 
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MOTION, MaterialPoints
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.fusedneohookean import stored_energy
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
@@ -35,9 +35,14 @@ _OF_LOADS = frozenset((*_FIXED, "tag"))
 
 
 def why_not(
-    form: WeakForm, field: Any, mass: str, settings: Settings, held: Held, options: dict[str, Any]
+    form: WeakForm,
+    field: Any,
+    mass: str,
+    settings: Settings,
+    held: EssentialConditions,
+    options: dict[str, Any],
 ) -> str | None:
-    """Why the fused loops cannot take a problem, or None if they can.
+    """Reason why the fused loops do not support a problem, or None.
 
     Args:
         form: The weak form.
@@ -54,10 +59,10 @@ def why_not(
     if not settings.plain:
         return "bulk viscosity or filters of light nodes act"
     if held.follows:
-        return "conditions whose place follows something"
-    tied = field.stabilisation.ties_nodes or options.get("prolongation")
+        return "a condition follows the body (follows=True)"
+    tied = field.stabilisation.constrains_nodes or options.get("prolongation")
     if tied or options.get("updates"):
-        return "nodes are tied, or fields updated"
+        return "constraints act between nodes, or a step updates fields"
     if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):
         return "the mapping filters velocities at the nodes"
     reason = _why_not_the_form(form)
@@ -65,37 +70,38 @@ def why_not(
         return reason
     loads = FusedLoads(form)
     if not loads.known or loads.varies:
-        return "loads that depend on functions of the grid or on what moves"
+        return "loads depend on functions of the grid, or on fields that a step changes"
     return None
 
 
 def _why_not_the_form(form: WeakForm) -> str | None:
+    """Reason why the fused loops do not support a form, or None."""
     points, declarations = form.points, form.parts.declarations
     space = form.spaces[0]
     if points.gdim == 1:
-        return "they are written for two and three dimensions"
+        return "the loops are for two and three dimensions"
     if points.axisymmetric:
         return "axisymmetric points"
     if space.configuration == "total":
-        return "functions that are taken at first positions"
+        return "the configuration is total Lagrangian"
     if space.coarsen > 1:
-        return "a field whose cells are coarser than the grid's"
+        return "the field has coarser cells than the grid"
     if any(one is not None for one in form.parts.grid.external):
         return "loads over cells or facets of the grid"
     kinds = {_kind(d) for d in declarations}
     if len(kinds) != 1 or None in kinds:
-        return "laws of several or other measures of strain"
+        return "laws have several strain formulations, or an unsupported one"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
-        return "laws by tags of which some share volume changes"
+        return "F-bar acts in laws by tags"
     if any(d.u is not space.increment for d in declarations):
-        return "a law of another increment"
+        return "a law has another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
-        return "a neo-Hookean law that varies"
+        return "the parameters of a neo-Hookean law vary"
     if form.boundaries:
         return "terms over boundaries that do not fit the grid"
     strange = next((term for term in form.parts.terms if not term.fusable), None)
     if strange is not None:
-        return f"a term that they do not know, {strange!r}"
+        return f"the loops do not support the term {strange!r}"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
         if term_of(integral) or any(integral.integrand() is term for term in own):
@@ -238,7 +244,7 @@ class Laws:
 
     def _parameters(self) -> Array:
         laws, n = self._declarations, len(self._points)
-        # as kernels take them, with what follows from the declared ones
+        # kernels also need parameters derived from the declared ones
         values = [d.parameters() for d in laws]
         width = max(own.shape[1] for own in values)
         if not any(d.law.varies for d in laws):
@@ -276,7 +282,7 @@ class FusedLoads:
         self.known = all(key[0] in ("field", "constant", "tagged") for key in keys)
         self.varies = any(key[0] == "field" and key[1] not in _FIXED for key in keys)
         self._constants = [
-            c for region in form.regions for c in region.slots.constants if not is_own(c)
+            c for region in form.regions for c in region.placeholders.constants if not is_own(c)
         ]
         self._taken = self._values()
 
@@ -306,7 +312,7 @@ class FusedLoads:
         forces = np.zeros((n, d))
         for region in self._form.regions:
             chosen = region.chosen(points["tag"])
-            # indices would copy, a slice is a view
+            # indexing would copy; a slice is a view
             rows: Any = slice(None) if chosen is None else np.flatnonzero(chosen)
             program = region.external
             if program is None:
@@ -318,7 +324,7 @@ class FusedLoads:
                 elif key[0] == "tagged":
                     data[key] = np.isin(points["tag"][rows], key[1]).astype(float)
                 else:
-                    value = region.slots.constants[key[1]].value
+                    value = region.placeholders.constants[key[1]].value
                     data[key] = np.array(value, float).reshape(1, -1)
             count = n if chosen is None else rows.size
             flux = np.empty((count, program.size))

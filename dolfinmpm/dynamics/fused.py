@@ -20,7 +20,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
@@ -34,7 +34,7 @@ from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.window import MARGIN, Prescribed, Window, WindowMeans
 from dolfinmpm.solve.step import Step
 
-__all__ = ["Fused"]
+__all__ = ["FusedSteps"]
 
 Array = npt.NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Worth:
     touched: Set[str] = frozenset()
 
 
-class Fused:
+class FusedSteps:
     """The fused loops of a problem.
 
     Args:
@@ -90,7 +90,7 @@ class Fused:
         self,
         points: MaterialPoints,
         basis: LatticeBasis,
-        held: Held,
+        held: EssentialConditions,
         laws: Laws,
         loads: FusedLoads,
         settings: Settings,
@@ -166,21 +166,9 @@ class Fused:
     def run(
         self, count: int, dt: float, kick: float, more: bool, begin: Callable[[int], Step]
     ) -> tuple[int, int, str | None]:
-        """Take equal steps. Collective.
+        """Take equal steps; see `ExplicitBase.run`. Collective.
 
         In the times of stages, a whole loop over the points counts as evaluation.
-
-        Args:
-            count: Number of steps.
-            dt: Length of each step (s).
-            kick: Time during which forces act in the first step (s), see `Explicit`.
-            more: Whether further steps follow without a new start.
-            begin: Function from the number of a step to the `Step`. It sets the time in form and
-                conditions.
-
-        Returns:
-            Number of steps taken, number of points that changed rank, and the reason of an early
-            end, or None.
         """
         migrated, reason, taken = 0, None, 0
         *others, main = PASSES[self._settings.scheme]
@@ -195,7 +183,7 @@ class Fused:
                     self._prepare()
                 self._worth.live = True
             elif self._loads.changed():
-                # the nodal forces have the old loads, if loads differ between points
+                # loads that differ between points are in the nodal forces already
                 fresh = not self._loads.uniform
                 self._loads.evaluate()
                 fresh = fresh or not self._loads.uniform
@@ -205,7 +193,7 @@ class Fused:
                 reason = self._scatter(main, dt)
             taken += 1
             last = taken == count
-            # what scatters in the last step of all would only be scattered again
+            # the sums of the last step of all would not be used
             ending = last and not more
             if reason is None:
                 now = kick if taken == 1 else dt

@@ -2,7 +2,7 @@
 
 Only a few points are near a body. A list of these points serves many steps. In each step the
 corners of the listed points get the same contact forces as in general steps, see
-`dolfinmpm.contact.activecontact`. These forces are added to the nodal sums of the loops.
+`dolfinmpm.contact.activerigidcontact`. These forces are added to the nodal sums of the loops.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.activecontact import ActiveContact
-from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.candidates import MARGIN
-from dolfinmpm.contact.contactterm import Contact
-from dolfinmpm.contact.corners import Rows, Sight, longest
-from dolfinmpm.contact.nearby import Nearby
-from dolfinmpm.contact.unseen import missed, passed
-from dolfinmpm.dynamics.halfstep import late_by_contact
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.candidates import MARGIN, passed_through, unlisted_entered
+from dolfinmpm.contact.corners import DisplacementBasis, Rows, longest
+from dolfinmpm.contact.neighbourlist import NeighbourList
+from dolfinmpm.contact.rigidbodies import RigidBodies
+from dolfinmpm.contact.rigidcontact import RigidContact
+from dolfinmpm.dynamics.halfstep import lateness_by_contact
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.window import Exchange, Window
@@ -50,15 +49,17 @@ class RigidContacts:
         late: Lateness of the velocities of points and bodies by contact (J), see `Work`.
     """
 
-    _sight: Sight
+    _displacement: DisplacementBasis
     _exchange: Exchange | None
     _sums: Array
 
-    def __init__(self, contacts: Sequence[Contact], bodies: Bodies, points: MaterialPoints):
+    def __init__(
+        self, contacts: Sequence[RigidContact], bodies: RigidBodies, points: MaterialPoints
+    ):
         self._bodies, self._points, self.work = bodies, points, 0.0
         self.late = 0.0, 0.0
-        self._near = [Nearby(contact) for contact in contacts]
-        self._active: list[ActiveContact] = []
+        self._near = [NeighbourList(contact) for contact in contacts]
+        self._active: list[ActiveRigidContact] = []
         # largest motion of nodes in the last step (m)
         self._nodes_go = 0.0
         self._window: Any = None
@@ -71,11 +72,13 @@ class RigidContacts:
             self._sums = np.zeros((len(window.nodes), self._points.gdim))
             place = window.place.astype(np.int32)
             growth = self._near[0].contact.u._dolfinmpm_space.domains
-            self._sight = Sight(window.basis, False, None, self._stencils, place, growth)
+            self._displacement = DisplacementBasis(
+                window.basis, False, None, self._stencils, place, growth
+            )
         points = self._points
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
         for near in self._near:
-            near.forget(self._sight, cell)
+            near.forget(self._displacement, cell)
         margin = MARGIN * float(longest(points["l0"]).min(initial=math.inf))
         self._margin = points.comm.allreduce(margin, op=MPI.MIN)
 
@@ -107,10 +110,10 @@ class RigidContacts:
         self._dt, self._kick = dt, kick
         self._active = [self._made(near, all_corners) for near in self._near]
 
-    def _made(self, near: Nearby, all_corners: bool = False) -> ActiveContact:
+    def _made(self, near: NeighbourList, all_corners: bool = False) -> ActiveRigidContact:
         """A contact of the corners that may touch. Collective before the first step."""
         rows = near.rows(math.inf if all_corners else self._nodes_go)
-        return ActiveContact(near.contact, self._sight, 0, rows, near.distance)
+        return ActiveRigidContact(near.contact, self._displacement, 0, rows, near.distance)
 
     @stages.assemble
     def press(self, out: Array, moved: bool) -> None:
@@ -123,9 +126,9 @@ class RigidContacts:
         self._bodies.put(0.0)
         for active in self._active:
             if moved:
-                active.shift(self._way(active))
+                active.compute(self._way(active))
             else:
-                active.rest()
+                active.compute_at_start()
         d = self._points.gdim
         force = out[:, COLUMNS[d].force : COLUMNS[d].force + d]
         if self._exchange is None:
@@ -139,12 +142,12 @@ class RigidContacts:
             force += self._sums
         self._bodies.push(self._active, self._kick)
 
-    def _way(self, active: ActiveContact) -> Array:
+    def _way(self, active: ActiveRigidContact) -> Array:
         """Displacements of corners in the step by the velocities that strain (m), shape (m, d)."""
-        d, corners = self._points.gdim, active.corners
+        d, stencils = self._points.gdim, active.corners.stencils
         first = COLUMNS[d].second
-        velocities = self._window.nodes[corners.nodes, first : first + d]
-        return corners.seen.displacement(self._dt * velocities)
+        velocities = self._window.nodes[stencils.nodes, first : first + d]
+        return stencils.of_nodes(self._dt * velocities)
 
     @stages.assemble
     def follow(self) -> None:
@@ -155,9 +158,9 @@ class RigidContacts:
         # corners go on by their points' gradients, up to half a cell from these
         self._nodes_go = 2.0 * self._dt * speed
         for k, near in enumerate(self._near):
-            if near.way() + self._nodes_go > near.distance:
+            if near.body_path() + self._nodes_go > near.distance:
                 self._active[k] = self._made(near)
-            self._active[k].shift(self._way(self._active[k]))
+            self._active[k].compute(self._way(self._active[k]))
 
     @stages.commit
     def end(self, way: float, record: bool) -> str | None:
@@ -172,11 +175,11 @@ class RigidContacts:
         """
         # one more entry: whether points and bodies have passed each other
         look = np.zeros(len(self._near) + 1, np.uint8)
-        faults = (passed(active) for active in self._active)
+        faults = (passed_through(active) for active in self._active)
         through = next((fault for fault in faults if fault is not None), None)
         look[-1] = through is not None
         for k, near in enumerate(self._near):
-            gone = way * near.cell + near.way()
+            gone = way * near.cell + near.body_path()
             sure = near.travelled(gone)
             # points with a shorter way cannot have reached the body
             look[k] = gone >= self._margin or not sure
@@ -188,12 +191,12 @@ class RigidContacts:
             return next(reason for reason in found if reason is not None)
         unseen = False
         for k in np.flatnonzero(look[:-1]):
-            unseen = missed(self._active[k], self._points["x"]) or unseen
+            unseen = unlisted_entered(self._active[k], self._points["x"]) or unseen
         if unseen:
             return "material points got into a rigid body from further away than was looked at"
         for near, active in zip(self._near, self._active):
             near.keep(active)
         if record:
-            self.late = late_by_contact(self._bodies, self._active, self._points.comm)
+            self.late = lateness_by_contact(self._bodies, self._active, self._points.comm)
         self.work += self._bodies.commit(self._active)
         return None

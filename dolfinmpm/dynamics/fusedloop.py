@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from dolfinmpm._platform.simd import add_at, integers, matrix, number_at, numbers, vectors
-from dolfinmpm.basis.uniform import middle_count
+from dolfinmpm.basis.uniformweights import middle_count
 from dolfinmpm.dynamics.fusednodes import (
     add_shares,
     affine_columns,

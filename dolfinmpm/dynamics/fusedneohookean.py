@@ -1,7 +1,7 @@
 """Stored energy and stress of the neo-Hookean law at all points, for the fused loops.
 
-The law stores all work that is done on it. So the loops need not sum the work of every step: it is
-the difference of what is stored, exactly.
+The law stores all work of its stress. So the loops need not sum up the work of every step. The work
+is exactly the change of the stored energy.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ __all__ = ["kirchhoff", "stored_energy"]
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 def _in_plane(F, V0, lmbda, mu):
-    """The sum of one law in two dimensions, and of how many points it is not the sum.
+    """Stored energy of one law in two dimensions, and the number of points with a wrong energy.
 
-    These have J away from 1: without a branch for them several points are taken at once.
+    The energy is wrong for points with J far from 1. Without a branch for these points, the loop
+    handles several points at once.
     """
     total, far = 0.0, 0
     for p in range(F.shape[0]):
@@ -44,13 +45,13 @@ def stored_energy(F, V0, numbers, which):
     """Σ V₀ ψ, ψ = ½μ (tr FᵀF − d) − μ ln J + ½λ (ln J)².
 
     Args:
-        F: Deformation gradients, shape (n, d, d); points turned inside out are left out.
-        V0: First volumes (m^d), shape (n,).
-        numbers: λ and μ of every law (Pa), shape (laws, 2).
-        which: Law of every point, shape (n,), or (1,) where there is one.
+        F: Deformation gradients, shape (n, d, d). Points with det F ≤ 0 are left out.
+        V0: Initial volumes (m^d), shape (n,).
+        numbers: λ and μ per law (Pa), shape (laws, 2).
+        which: Number of the law per point, shape (n,), or (1,) for a single law.
 
     Returns:
-        The energy (J; a metre across in 2D).
+        The energy (J; per metre of thickness in 2D).
     """
     d = F.shape[1]
     if d == 2 and which.shape[0] == 1:

@@ -21,7 +21,7 @@ import numpy as np
 from dolfinmpm._platform.simd import add_at, axpy, four, lanes, load, number_at, times
 from dolfinmpm._platform.simd import store as put
 from dolfinmpm.basis.lineweights import line_shares, line_weights, overlapped
-from dolfinmpm.basis.uniform import middle_weights
+from dolfinmpm.basis.uniformweights import middle_weights
 from dolfinmpm.dynamics.smalltensors import INLINE
 
 __all__ = [

@@ -24,29 +24,30 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import set_velocities
-from dolfinmpm.dynamics.halfstep import late_by_contact, lateness, taken
+from dolfinmpm.dynamics.halfstep import lateness, lateness_by_contact, mapping_loss
 from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.mass import Mass, point_masses
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.smallmass import viscous_pressure
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
-from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.method import only_momentum
+from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
-__all__ = ["General"]
+__all__ = ["GeneralSteps"]
 
 Array = npt.NDArray[np.float64]
 
 
-class General(ExplicitBase):
+class GeneralSteps(ExplicitBase):
     """Explicit steps of a problem of any form, one after the other."""
 
     _stiffness: Stiffness | None = None
@@ -109,12 +110,12 @@ class General(ExplicitBase):
         if settings.scheme == "musl":
             V_strain = V_move = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
         moved = points["x"] + dt * collect(s, V_move)
-        operator.place([dt * V_strain])
+        operator.set_increments([dt * V_strain])
         if held_by is not None and settings.clock is not None:
-            # the remaining part of a prescribed displacement is that at the end
+            # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
         problem.bodies.put(1.0)
-        state = self._advanced(operator, True, moved)
+        state = new_state(problem, operator, x=moved)
         if isinstance(state, str):
             return state
         self._work.external += self._external(operator, mass, forces, V, V_end, V_move, step, kick)
@@ -122,7 +123,7 @@ class General(ExplicitBase):
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
         if settings.mapping.kind == "tpic":
-            # from here on it is that of where the points have gone
+            # from now on, the gradient refers to the new positions
             gradient = new["velocity_gradient"]
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
@@ -144,7 +145,7 @@ class General(ExplicitBase):
         points, mapping = self._problem.points, self._settings.mapping
         gradient = np.zeros((len(points), points.gdim, points.gdim))
         if mapping.kind == "tpic":
-            operator.place([dt * motion.V_end])
+            operator.set_increments([dt * motion.V_end])
             gradient = operator.points.gradient[0] / dt
         return mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
 
@@ -160,34 +161,34 @@ class General(ExplicitBase):
         """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
 
         Args:
-            operator: The step's equations, at its end.
-            net, grid: These sums of the work before the step (J).
+            operator: The step's equations, at the end of the step.
+            net, grid: Sums of `Work` before the step (J).
         """
         work, bodies = self._work, self._problem.bodies
         late = self._settings.scheme == "usf"
         work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
         if bodies.contacts:
             acting, comm = bodies.acting(operator), self._problem.comm
-            more, work.late_bodies = late_by_contact(bodies, acting, comm)
+            more, work.late_bodies = lateness_by_contact(bodies, acting, comm)
             work.late += more
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
         """Energy lost by the mapping in a step (J), see `Work`. Collective.
 
         Args:
-            new: Fields of the points after it.
+            new: Fields of the points after the step.
             mass: Mass at the nodes.
             change: Changes of velocity of the nodes at the points (m/s), shape (points, d).
         """
         points, settings = self._problem.points, self._settings
         m = settings.scaling * point_masses(points)
         filtered = settings.scheme != "usl"
-        own = taken(points["velocity"], change, new["velocity"], m, filtered)
+        own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         return mass.comm.allreduce(own, op=MPI.SUM)
 
     @stages.assemble
     def _momenta(self, mass: Mass, s: Stencils, x_node: Array, new=None) -> Nodal:
-        """Momenta of the nodes from velocities of the points, or from new ones. Collective."""
+        """Momenta of the nodes from the points' velocities, or from new velocities. Collective."""
         momenta = mass.nodal()
         self._settings.mapping.to_grid(self._problem.points, s, x_node, momenta, new)
         momenta.arrays[0][...] *= self._settings.scaling
@@ -195,36 +196,37 @@ class General(ExplicitBase):
 
     def _before(self, step: Step, held: Array, basis: Any) -> Array:
         """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
-        bcs = self._held.conditions
+        prescribed = self._problem.held
+        bcs = prescribed.conditions
         if not any(condition.velocity for condition in bcs):
             return held
         dt, share = step.dt, step.share
         ending = [np.array(bc.values) for bc in bcs]
         set_velocities(bcs, lambda v: v(step.t - dt) * dt / share)
-        values = self._held.at([basis], share)[1][0] / dt
+        values = prescribed.at([basis], share)[1][0] / dt
         for condition, value in zip(bcs, ending):
             if condition.velocity is not None:
-                condition.value.value = value  # type: ignore[union-attr]
+                condition.value.value = value
         return np.asarray(values, np.float64)
 
     @stages.assemble
     def _forces(self, operator: Operator, mass: Mass, s: Stencils, u: Array | None) -> Nodal | str:
-        """Forces on the nodes in the present state, or of the stresses after an increment.
+        """Forces on the nodes by the present stresses, or by the stresses after an increment u.
 
-        Collective. Returns why there are none where the increment admits no state.
+        Collective. Returns the reason of a failure if no state exists after the increment.
         """
         forces = mass.nodal()
         points = self._problem.points
         state: NewState | None = None
         if u is not None:
-            operator.place([u])
-            found = self._advanced(operator, False)
+            operator.set_increments([u])
+            found = new_state(self._problem, operator, stays=True)
             if isinstance(found, str):
                 return found
             state = found
         if not self._by_stress:
             if state is None:
-                operator.rest()
+                operator.move_to_zero()
             forces.arrays[0][:] = -operator.forces(without=("boundary", "penalty"))[0]
             return forces
         weight = points["V"]
@@ -238,21 +240,21 @@ class General(ExplicitBase):
         forces.add_up()
         forces.arrays[0][:] -= operator.external[0]
         if operator.has("contact"):
-            operator.touch()
+            operator.update_contact()
             forces.arrays[0][:] -= operator.forces_of("contact")[0]
         return forces
 
     def _held_by(self, operator: Operator, u: Array | None) -> Array | None:
-        """Internal forces of boundaries, after an increment or before any. Collective."""
+        """Internal forces of boundaries, at present or after an increment u. Collective."""
         if not operator.has("boundary"):
             return None
         if u is not None:
-            operator.place_in("boundary", [u])
+            operator.set_increments_of("boundary", [u])
         return operator.forces_of("boundary")[0]
 
     @stages.assemble
     def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:
-        """Bulk viscosity, and what acts on light nodes: both change forces. Collective."""
+        """Change the forces by bulk viscosity, and by filters of light nodes. Collective."""
         points, b = self._problem.points, self._settings.viscosity
         if b != (0.0, 0.0):
             speeds = wave_speed(points, self._problem.form.parts.declarations)
@@ -278,7 +280,7 @@ class General(ExplicitBase):
 
     @stages.solve
     def _end(self, V_end: Array, mass: Mass, here: Activation, held: Array, dt: float) -> Array:
-        """Velocities at the end of a step, under faces of the grid and conditions. Collective."""
+        """Velocities at the end of a step, with faces of the grid and conditions. Collective."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is not None and faces.dashpots is not None:
             m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
@@ -294,10 +296,10 @@ class General(ExplicitBase):
         return V_end
 
     def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
-        """Add what the nodes' kinetic energy changes by, and what forces take that resist.
+        """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
 
-        Collective. What they have by a ghost mass is theirs only within a step, and no loss: points
-        get the work of all forces.
+        Collective. Kinetic energy of a ghost mass exists only within a step. It is no loss, because
+        points get the work of all forces.
         """
         found = [sum(mass.kinetic(v)) for v in (V, V_end)]
         self._work.grid += found[1] - found[0]
@@ -318,11 +320,11 @@ class General(ExplicitBase):
         step: Step,
         kick: float,
     ) -> float:
-        """Work of loads, and of what moves held nodes, in a step (J). Collective."""
+        """Work of loads and of prescribed motions in a step (J). Collective."""
         external = operator.load_work([step.dt * V_move])
         here = operator.here
         if here.driven:
-            # what moves held nodes gives them momentum against their forces
+            # a prescribed motion changes the momentum of its nodes, against their forces
             impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
             at = here.unknowns.fields[0].places[1]
             done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.contact.activecontact import ActiveContact
-from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.rigidbodies import RigidBodies
 
-__all__ = ["late_by_contact", "lateness", "taken"]
+__all__ = ["lateness", "lateness_by_contact", "mapping_loss"]
 
 Array = npt.NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def lateness(net: float, internal: float, grid: float, stress_is_late: bool) -> 
     return 0.5 * (net - internal)
 
 
-def taken(old: Array, change: Array, new: Array, mass: Array, filtered: bool) -> float:
+def mapping_loss(old: Array, change: Array, new: Array, mass: Array, filtered: bool) -> float:
     """Kinetic energy that a mapping takes from the points of this rank in a step (J).
 
     A mapping may slow the points. If strains follow the new velocities, the strains then also lose
@@ -57,8 +57,8 @@ def taken(old: Array, change: Array, new: Array, mass: Array, filtered: bool) ->
     return 0.5 * float(mass @ np.sum(lost * mean, axis=1))
 
 
-def late_by_contact(
-    bodies: Bodies, contacts: Sequence[ActiveContact], comm: MPI.Intracomm
+def lateness_by_contact(
+    bodies: RigidBodies, contacts: Sequence[ActiveRigidContact], comm: MPI.Intracomm
 ) -> tuple[float, float]:
     """Lateness of the velocities of points and of free bodies by contact (J). Collective.
 

@@ -1,4 +1,4 @@
-"""Forces of steps in time that stand in no weak form: inertia, ghost penalties, dashpots."""
+"""Terms of implicit steps in time outside the weak form: inertia, penalties, dashpots."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.assembly.term import ActiveTerm
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 
 __all__ = ["Dashpots", "Inertia"]
 
@@ -20,17 +20,17 @@ Array = npt.NDArray[np.float64]
 
 
 class Inertia(ActiveTerm):
-    """Inertial forces M a, and penalties on what a step changes of the velocity.
+    """Inertial forces M a, and penalties on the change of velocity in a step.
 
     Accelerations are a linear function of the increments, a = factor u + known. Penalties act on
-    increments less those that are expected of the velocities at the start.
+    u − expected, the increments beyond those by the velocities at the start.
 
     Args:
-        here: What is active.
-        masses: Masses of the fields that move points, by the number of the field.
+        here: The activation.
+        masses: Number of a field that moves points → its mass.
         factor: Derivative of the accelerations by the increments (1/s²).
-        known: The rest of them (m/s²), shape (nodes, d), by the number of the field.
-        expected: Increments that penalties leave free (m), likewise.
+        known: Number of the field → other part of the accelerations (m/s²), shape (nodes, d).
+        expected: Number of the field → increments without penalty (m), shape (nodes, d).
     """
 
     kind, is_load = "inertia", False
@@ -54,7 +54,7 @@ class Inertia(ActiveTerm):
         return [*self._changes, *self._stiffness]
 
     def external(self, out: Sequence[Array]) -> None:
-        """See `ActiveTerm`: M times what is known acts as a load does."""
+        """See `ActiveTerm`. M times the known accelerations acts like a load."""
         for b in self._masses:
             add_product(b, self._on_all(self._known, out), out)
         for b in self._changes:
@@ -62,7 +62,7 @@ class Inertia(ActiveTerm):
 
     @staticmethod
     def _on_all(given: Mapping[int, Array], out: Sequence[Array]) -> list[Array]:
-        """Nodal values of all fields; those that none are given of are zero."""
+        """Nodal values of all fields, with zeros for fields without values."""
         return [given.get(k, np.zeros_like(force)) for k, force in enumerate(out)]
 
 
@@ -70,8 +70,8 @@ class Dashpots(ActiveTerm):
     """Dashpots on the nodes of the first field.
 
     Args:
-        blocks: Derivative of their forces by the increments.
-        start: Forces of the velocities that do not depend on the increments (N), shape (nodes, d).
+        blocks: Derivative of the forces by the increments.
+        start: Part of the forces without the increments (N), shape (nodes, d).
         owned: Nodes of this rank.
     """
 

@@ -23,15 +23,21 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import UnknownNameError
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.dynamics.energies import kinetic_energy, stress_volumes
+from dolfinmpm.contact.rigidbodies import RigidBodies
+from dolfinmpm.dynamics.energies import (
+    angular_momentum,
+    kinetic_energy,
+    momentum_of,
+    stress_volumes,
+)
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["LOSSES", "Energies", "Ledger", "Work"]
+__all__ = ["LOSSES", "Energies", "Ledger", "MovingBody", "Work"]
 
 Array = npt.NDArray[np.float64]
 
@@ -194,7 +200,7 @@ class Ledger:
         self,
         points: MaterialPoints,
         form: WeakForm,
-        bodies: Bodies,
+        bodies: RigidBodies,
         scaling: float = 1.0,
         by_points: bool = False,
     ):
@@ -308,3 +314,41 @@ class Ledger:
         self.work.take(state["work"])
         *first, self._last = (float(v) for v in state["first energies"])
         self._first = dict(zip(_FIRST, first))
+
+
+class MovingBody:
+    """Energies and momenta of a problem in time; a base of such problems.
+
+    Attributes:
+        points: Material points.
+        ledger: The account of energies and works.
+        mapping: The velocity mapping.
+    """
+
+    points: MaterialPoints
+    ledger: Any
+    mapping: Any
+
+    @collective
+    def energies(self) -> Energies:
+        """Present energies of the body, and work done since the first step. Collective.
+
+        The kinetic energy is at the time of the positions. In explicit steps this is half a step
+        after the velocities. Where bodies meet in one velocity field, the mapping takes energy from
+        them, see `Energies`.
+        """
+        return self.ledger.energies()
+
+    @collective
+    def momentum(self) -> Array:
+        """Linear momentum of the body (kg m/s), shape (d,). Collective."""
+        return momentum_of(self.points)
+
+    @collective
+    def angular_momentum(self) -> Array:
+        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
+
+        With "apic", the points' affine velocities are included.
+        """
+        spins = self.mapping.kind == "apic"
+        return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import choice, number, whole
+from dolfinmpm._platform.argumentchecks import choice, number, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.dynamics.mass import Mass, point_masses
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import collect, moments, scatter, scatter_affine
 
 __all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]
@@ -77,6 +78,12 @@ class Mapping:
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.Mapping("flip", share=0.95)
+    Mapping(kind='flip', share=0.95, order=2)
+    >>> mpm.Mapping("xpic", order=3)
+    Mapping(kind='xpic', share=1.0, order=3)
     """
 
     kind: str = "flip"

@@ -1,50 +1,34 @@
-"""The mass at the nodes: lumped or consistent, with a ghost penalty, with any constraints C."""
+"""Terms of the mass: lumped or consistent, with a ghost penalty, with any constraints C."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import (
-    ConvergenceError,
     ParameterError,
-    SingularMassWarning,
-    raise_together,
-    warn,
 )
-from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.assembly.term import Term
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
+from dolfinmpm.cut.activation import ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.prolongation import reduce_blocks
-from dolfinmpm.cut.unknowns import FieldUnknowns, Nodal, Unknowns
+from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
 from dolfinmpm.forms.declarations import rows_within
-from dolfinmpm.grid.halo import Numbering
-from dolfinmpm.solve.method import Tangent, crossover
-from dolfinmpm.solve.substructures import set_cholesky
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
+__all__ = ["KINDS", "MassTerms", "mass_terms", "point_masses"]
 
 Array = npt.NDArray[np.float64]
 KINDS = ("consistent", "lumped")
-
-# CG ends at this share of the right-hand side: an affine velocity is recovered to ten digits
-_TOLERANCE, _MOST = 1e-14, 2000
-# Limit of velocities of nodes by those of points: noise gives up to 100 on cubic splines, else 10
-_PROPORTION = 1e3
 
 
 def point_masses(points: MaterialPoints) -> Array:
@@ -71,7 +55,7 @@ class MassTerms(Term):
     ):
         self.points, self.kind, self.ghost, self.factorised = points, kind, ghost, factorised
         self._matrix: Matrix | None = None
-        #: Whether it has been told that the mass is next to singular.
+        #: Whether a warning about a nearly singular mass has been given.
         self.warned = False
 
     @property
@@ -99,7 +83,7 @@ class MassTerms(Term):
         unit = np.eye(field.space.components)
         if self.kind == "lumped":
             sums = np.zeros((field.basis.nodes.size, 1))
-            scatter(field.seen, mass, np.ones((len(mass), 1)), sums)
+            scatter(field.full_stencils, mass, np.ones((len(mass), 1)), sums)
             nodes = field.active
             single = Blocks(k, k, nodes, nodes, sums[nodes, :, None] * unit)
             return reduce_blocks(field.C, field.C, single)
@@ -158,257 +142,10 @@ def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> u
     """The ghost penalty of a field's mass, or None. Collective."""
     space = field.space
     if factor is None:
-        tied = field.ties_nodes and field.stabilisation.kind != "weak-aggregation"
+        tied = field.constrains_nodes and field.stabilisation.kind != "weak-aggregation"
         factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
     if factor == 0:
         return None
     own = points["density"][rows_within(points, space.tags)]
     density = points.comm.allreduce(own.max(initial=0.0), op=MPI.MAX)
     return ghost(points, space.increment, space.test, factor * density, scaling="literal")
-
-
-class Mass:
-    """The mass of a field on an activation. Collective.
-
-    Args:
-        terms: The terms of the mass.
-        here: The activation.
-        scaling: Factor of the mass.
-        k: Number of the field.
-
-    Attributes:
-        lumped: Row sums of the mass (kg), shape (nodes,), on all ranks that know the nodes.
-        iterations: CG iterations of the last solution.
-    """
-
-    @stages.assemble
-    def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0, k: int = 0):
-        self._terms, self._here, self._k = terms, here, k
-        self._field = here.fields[k]
-        self.blocks = here.blocks_of("mass", k)
-        if scaling != 1.0:
-            self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]
-        self.iterations = 0
-        single = terms.kind == "lumped" and all(
-            np.array_equal(b.rows, b.columns) for b in self.blocks
-        )
-        self._diagonal: bool = self.comm.allreduce(single, op=MPI.LAND)
-        sums = Nodal([self._field.basis.nodes], [1])
-        for b in self.blocks:
-            if terms.kind == "lumped":
-                np.add.at(sums.arrays[0][:, 0], b.rows, b.values[:, 0, 0])
-        if terms.kind != "lumped":
-            ones = np.ones((len(terms.points), 1))
-            m = scaling * point_masses(terms.points)
-            scatter(self._field.stencils, m, ones, sums.arrays[0])
-        sums.add_up()
-        sums.spread()
-        self.lumped = sums.arrays[0][:, 0]
-        self._solver: PETSc.KSP | None = None
-
-    @property
-    def comm(self) -> MPI.Intracomm:
-        """Communicator of the problem."""
-        return self._here.unknowns.comm
-
-    @property
-    def nodes(self) -> Numbering:
-        """Numbering of the nodes."""
-        return self._field.basis.nodes
-
-    def nodal(self) -> Nodal:
-        """Zeros at the nodes. Collective."""
-        return Nodal([self._field.basis.nodes], [self._field.space.components])
-
-    def add_to(self, matrix: Matrix, unknowns: Unknowns | None = None) -> None:
-        """Write it into a matrix of the unknowns. Collective.
-
-        Args:
-            matrix: Output, with the activation's pattern.
-            unknowns: Unknowns of the matrix; by default those of the activation.
-        """
-        matrix.data[:] = 0.0
-        own = self._own_of(unknowns or self._here.unknowns)
-        zero = np.zeros(own.row_of.shape)
-        entries = Entries(own, own, matrix.pattern, matrix.data, zero, np.zeros_like(zero))
-        for b in self.blocks:
-            add_blocks(b, entries)
-        matrix.finish()
-
-    def times(self, v: Array) -> Nodal:
-        """Product with nodal values, summed over ranks at the nodes' owners. Collective.
-
-        Args:
-            v: Shape (nodes, components).
-        """
-        out = self.nodal()
-        for b in self.blocks:
-            add_product(replace(b, row_field=0, column_field=0), [v], out.arrays)
-        out.add_up()
-        return out
-
-    def inner(self, v: Array, blocks: Sequence[Blocks], w: Array) -> float:
-        """v · B w of nodal values, for blocks between the field's nodes. Collective."""
-        if not blocks:
-            return 0.0
-        out = self.nodal()
-        for b in blocks:
-            add_product(replace(b, row_field=0, column_field=0), [w], out.arrays)
-        out.add_up()
-        owned = self.nodes.owned
-        return self.comm.allreduce(float(np.sum(out.arrays[0][:owned] * v[:owned])), op=MPI.SUM)
-
-    def kinetic(self, V: Array) -> tuple[float, float]:
-        """½ V · M V of the points' mass and of its penalty (J). Collective."""
-        # the points' mass is the first block, see `MassTerms.blocks`
-        return 0.5 * self.inner(V, self.blocks[:1], V), 0.5 * self.inner(V, self.blocks[1:], V)
-
-    def lost(self, V: Array, V_end: Array) -> float:
-        """Kinetic energy lost by a change of velocities, with a lumped mass (J). Collective."""
-        owned = self.nodes.owned
-        change = V[:owned] ** 2 - V_end[:owned] ** 2
-        lost = 0.5 * float(np.sum(self.lumped[:owned, None] * change))
-        return self.comm.allreduce(lost, op=MPI.SUM)
-
-    def _own_of(self, unknowns: Unknowns) -> FieldUnknowns:
-        """The field's unknowns, in the unknowns of all fields or of this field alone."""
-        return unknowns.fields[self._k if len(unknowns.fields) > 1 else 0]
-
-    @stages.solve
-    def velocities(self, momenta: Nodal, held: Array, fastest: float) -> Nodal:
-        """Velocities of the nodes from momenta (kg m/s) of the points. Collective.
-
-        Args:
-            momenta: Momenta, summed at the nodes' owners.
-            held: Velocities of prescribed components (m/s), shape (nodes, components).
-            fastest: Largest component of a velocity of this rank's points (m/s).
-
-        Warns once if a node is far faster than the points. A consistent mass allows this where a
-        node has very few points. The new velocities of the points may still be correct, such as in
-        a bar, or the step may fail.
-
-        Raises:
-            ConvergenceError: The mass is singular.
-        """
-        V = self.solve(momenta, held)
-        if self._diagonal:
-            return V
-        own = self._own_of(self._here.unknowns)
-        nodes, given = own.nodes, np.where(own.fixed, held, 0.0)
-        found = [np.abs(V.arrays[0][nodes]).max(initial=0.0), np.abs(given).max(initial=0.0)]
-        both = np.array([*found, fastest])
-        self.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-        largest, moved, fastest = both
-        bound = _PROPORTION * max(moved, fastest)
-        if not largest <= bound:
-            text = (
-                f"the consistent mass is next to singular: a node has the velocity {largest:.3g} "
-                f"m/s where points have at most {fastest:.3g} m/s, and {_PROPORTION:g} times that "
-                "is what a sound mass may give; give a ghost_mass above 0, such as 0.25, or "
-                'mass="lumped", or stabilisation="aggregation"'
-            )
-            if not math.isfinite(largest):
-                raise ConvergenceError(text)
-            if not self._terms.warned:
-                self._terms.warned = True
-                warn(self.comm, text, SingularMassWarning)
-        return V
-
-    @stages.solve
-    def solve(self, right: Nodal, held: Array) -> Nodal:
-        """Nodal values v with M v = right, with given values of held components. Collective.
-
-        Args:
-            right: Right-hand side, summed at the nodes' owners.
-            held: Values of prescribed components, shape (nodes, components).
-
-        Returns:
-            The values, on all ranks that know the nodes.
-
-        Raises:
-            ConvergenceError: The mass is singular.
-        """
-        unknowns, out = self._unknowns, self.nodal()
-        # a node without mass does not move, as in the fused loops
-        m = np.where(self.lumped > 0, self.lumped, np.inf)[:, None]
-        (p,) = right.arrays
-        if not self._diagonal:
-            # at nodes of very small mass p/m is arbitrary: they start from zero
-            m = np.where(self.lumped > 0, self.lumped, 1.0)[:, None]
-            m = np.maximum(m, 1e-3 * self.lumped.max(initial=0.0))
-        guess = unknowns.restrict([p / m])
-        if not self._diagonal:
-            fixed = np.where(unknowns.fields[0].fixed, held, 0.0)
-            given = unknowns.restrict([p]) - unknowns.restrict(self.times(fixed).arrays)
-            guess = self._cg(given, guess)
-        unknowns.expand(guess, [held], out)
-        return out
-
-    @property
-    def _unknowns(self) -> Unknowns:
-        here = self._here
-        if len(here.fields) == 1:
-            return here.unknowns
-        if not hasattr(self, "_own"):
-            one = here.unknowns.fields[self._k]
-            self._own = Unknowns([one.numbering], [one.nodes], [one.fixed])
-        return self._own
-
-    def _cg(self, right: Array, guess: Array) -> Array:
-        """Conjugate gradients with the diagonal of the matrix, or with its factors. Collective."""
-        unknowns = self._unknowns
-        if unknowns.total == 0:
-            return guess
-        if self._solver is None:
-            self._solver = self._solver_of(unknowns)
-        ksp = self._solver
-        matrix, _ = ksp.getOperators()
-        b, x = matrix.createVecRight(), matrix.createVecRight()
-        b.getArray()[:], x.getArray()[:] = right, guess
-        rest = b.duplicate()
-        matrix.mult(x, rest)
-        rest.aypx(-1.0, b)
-        if rest.norm() > b.norm():
-            # where a node has very few points, forces over the lumped mass are no good guess
-            x.set(0.0)
-        ksp.solve(b, x)
-        self.iterations = ksp.getIterationNumber()
-        error = None
-        if ksp.getConvergedReason() <= 0:
-            error = ConvergenceError(
-                f"the consistent mass is singular to rounding: CG ends after {self.iterations} "
-                'iterations; give ghost_mass=0.25, or mass="lumped", or more points per cell'
-            )
-        raise_together(unknowns.comm, error)
-        return np.array(x.getArray(readonly=True))
-
-    def assembled(self) -> Matrix:
-        """The mass as a matrix of the field's unknowns. Collective."""
-        unknowns = self._unknowns
-        matrix = Matrix(self._pattern(unknowns), unknowns)
-        self.add_to(matrix, unknowns)
-        return matrix
-
-    def _pattern(self, unknowns: Unknowns) -> Pattern:
-        """The pattern of the mass alone, without other couplings of the activation. Collective."""
-        pairs = [(b.rows, b.columns) for b in self.blocks]
-        lists = [(self._field.stencils.node_start, self._field.stencils.nodes)]
-        return Pattern.build(lists, unknowns, pairs, None)
-
-    def _solver_of(self, unknowns: Unknowns) -> PETSc.KSP:
-        here = self._here
-        pattern = here.pattern if unknowns is here.unknowns else self._pattern(unknowns)
-        matrix = self._terms.matrix(pattern, unknowns)
-        self.add_to(matrix, unknowns)
-        ksp = PETSc.KSP().create(unknowns.comm)
-        ksp.setType("cg")
-        pc = ksp.getPC()
-        pc.setType("jacobi")
-        mass = Tangent(symmetric=True, definite=True, softened=False)
-        many = unknowns.total >= crossover(mass, self._terms.points.gdim)
-        if self._terms.factorised and not many:
-            set_cholesky(pc, matrix.petsc)
-        ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, max_it=_MOST)
-        ksp.setInitialGuessNonzero(True)
-        ksp.setOperators(matrix.petsc)
-        return ksp

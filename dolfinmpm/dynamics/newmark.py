@@ -21,24 +21,23 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
-from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
-from dolfinmpm.dynamics.faces import Sides, divided
-from dolfinmpm.dynamics.ledger import Energies, Ledger
+from dolfinmpm.dynamics.faces import Sides, split_conditions
+from dolfinmpm.dynamics.gridmotion import GridMotion
+from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.motion import Motion
-from dolfinmpm.dynamics.rule import Rule
-from dolfinmpm.dynamics.timescheme import TimeScheme
+from dolfinmpm.dynamics.newmarkrule import NewmarkRule
+from dolfinmpm.dynamics.timescheme import NewmarkScheme
 from dolfinmpm.forms.formchecks import check_levels
 from dolfinmpm.solve.arguments import increments_of
-from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
+from dolfinmpm.solve.problemchecks import refuse_field_tags
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
 __all__ = ["GeneralisedAlpha", "Newmark", "TimeStepping"]
@@ -46,16 +45,16 @@ __all__ = ["GeneralisedAlpha", "Newmark", "TimeStepping"]
 Array = npt.NDArray[np.float64]
 
 
-class TimeStepping(QuasiStatic):
+class TimeStepping(MovingBody, QuasiStatic):
     """A weak form in time, by a rule of Newmark's family; see `Newmark` for the arguments."""
 
     history: list[MotionRecord]  # type: ignore[assignment]
-    scheme: TimeScheme
+    scheme: NewmarkScheme
     _takes_scheme = False
 
     def __init__(
         self,
-        rule: Rule,
+        rule: NewmarkRule,
         form: ufl.Form,
         increment: fem.Function | Sequence[fem.Function],
         points: MaterialPoints,
@@ -85,7 +84,7 @@ class TimeStepping(QuasiStatic):
                 "are mapped where the points are now"
             )
         chosen.add_fields(points)
-        conditions, faces = divided(bcs)
+        conditions, faces = split_conditions(bcs)
         for face in faces:
             if face.friction is not None:
                 raise ParameterError(
@@ -96,27 +95,32 @@ class TimeStepping(QuasiStatic):
         own = rule.alpha_m == rule.alpha_f == 0.0
         rule = replace(rule, by_forces=ties and own)
         check_clock(time, points.grid)
-        scheme = TimeScheme(rule, ties, error, time)
+        scheme = NewmarkScheme(rule, ties, error, time)
         super().__init__(form, increment, points, conditions, scheme=scheme, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         if faces:
-            refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
+            refuse_field_tags(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points, self.bcs)
         ledger = Ledger(points, self.form, self.bodies)
-        scheme.motion = Motion(points, rule, chosen, terms, sides, ledger)
+        scheme.motion = GridMotion(points, rule, chosen, terms, sides, ledger)
         check_masses(self.bodies)
         self.form.add(terms)
         self.form.start_in_time(scheme.means)
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> GridMotion:
         """Motion of the grid's nodes in the last step."""
         return self.scheme.motion
 
     @property
+    def mapping(self) -> Mapping:
+        """The velocity mapping between points and grid."""
+        return self.motion.mapping
+
+    @property
     def terms(self) -> MassTerms:
-        """What the mass is made of."""
+        """The terms of the mass."""
         return self.motion.terms
 
     @property
@@ -128,28 +132,6 @@ class TimeStepping(QuasiStatic):
     def time(self) -> float:
         """Time of the present state (s)."""
         return self.scheme.clock.time
-
-    @together
-    def energies(self) -> Energies:
-        """Present energies of the body, and work done since the first step. Collective.
-
-        Where bodies meet in one velocity field, the mapping takes energy from them, see `Energies`.
-        """
-        return self.ledger.energies()
-
-    @together
-    def momentum(self) -> Array:
-        """Linear momentum of the body (kg m/s), shape (d,). Collective."""
-        return momentum_of(self.points)
-
-    @together
-    def angular_momentum(self) -> Array:
-        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
-
-        With "apic", the points' affine velocities are included.
-        """
-        spins = self.motion.mapping.kind == "apic"
-        return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
 
 class Newmark(TimeStepping):
@@ -174,7 +156,7 @@ class Newmark(TimeStepping):
             support by points are constrained to well-filled cells as by "aggregation", whatever
             the stabilisation. The ghost penalty of `stabilisation="ghost"` then acts on the
             step's change of velocity, u − Δt v, not on u. It gives back no more energy than it
-            has taken (`dolfinmpm.dynamics.reserve`). So neither takes energy from the body.
+            has taken (`dolfinmpm.dynamics.energybounds`). So neither takes energy from the body.
             A penalty of the mass takes energy in every step, and more with smaller steps.
             With a `prolongation`, with contact and with weak aggregation the default is 1/4; on
             quadratic and cubic splines it is 100 and 10⁴ times 1/4. With 0, nodes with small
@@ -189,9 +171,23 @@ class Newmark(TimeStepping):
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    A free body keeps its velocity:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.Newmark(F, V.increment, points)
+    >>> points["velocity"] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> (points["x"] - points["x0"])[0, 0].round(9).item()
+    0.1
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -208,7 +204,7 @@ class Newmark(TimeStepping):
                 f"gamma = {gamma:g} must be at least 0.5: with less every vibration grows from "
                 "step to step, even in short steps"
             )
-        rule = Rule(number("beta", beta, 0.0), float(gamma))
+        rule = NewmarkRule(number("beta", beta, 0.0), float(gamma))
         super().__init__(rule, form, increment, points, bcs, **options)
 
 
@@ -225,9 +221,23 @@ class GeneralisedAlpha(TimeStepping):
         FormError: The form carries fields from the end of a step to the end of the next step,
             without the time level at which forces balance. `poromechanics` gets this level by its
             own rho_inf.
+
+    A free body keeps its velocity:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.GeneralisedAlpha(F, V.increment, points, rho_inf=0.9)
+    >>> points["velocity"] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> points["velocity"][0, 0].round(9).item()
+    1.0
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -241,5 +251,5 @@ class GeneralisedAlpha(TimeStepping):
         r = number("rho_inf", rho_inf, 0.0, 1.0, closed=True)
         alpha_m, alpha_f = (2 * r - 1) / (r + 1), r / (r + 1)
         beta, gamma = 0.25 * (1 - alpha_m + alpha_f) ** 2, 0.5 - alpha_m + alpha_f
-        rule = Rule(beta, gamma, alpha_m, alpha_f)
+        rule = NewmarkRule(beta, gamma, alpha_m, alpha_f)
         super().__init__(rule, form, increment, points, bcs, **options)

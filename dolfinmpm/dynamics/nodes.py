@@ -1,4 +1,4 @@
-"""What explicit steps do at the nodes of a window, see `dolfinmpm.dynamics.window`."""
+"""Motion of the nodes of a window in fused steps, see `dolfinmpm.dynamics.window`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["divide", "fastest", "move_nodes", "take_means"]
 
 @numba.njit(cache=True, error_model="numpy")
 def _rub(mark, rubbing, velocity):
-    """Stop a node that would move out of sides of the grid, and let friction act on its slip."""
+    """Stop a node that would leave the grid through a side, and let friction act on its slip."""
     for face in range(rubbing.shape[0]):
         if (mark >> np.uint64(face)) & np.uint64(1) == 0:
             continue
@@ -39,14 +39,14 @@ def move_nodes(
     """Accelerate the nodes of a box.
 
     Args:
-        own: Whose work this rank counts.
-        before, held: Velocities of fixed components at the start and the end of the step.
-        faces: What acts at sides of the grid, see `Faces.by_nodes`.
-        pushed: Written unless empty, changes of velocity by forces alone.
-        dt, kick: For how long nodes move, and for how long forces act on them (s).
-        known: Whether velocities for the strain have been set before.
-        last: Whether the points move by these velocities; then the sums are done with, and cleared.
-        done: Added to, see `Fused.done`.
+        own: Mask of the nodes whose work this rank counts.
+        before, held: Velocities of fixed components at the start and at the end of the step.
+        faces: Friction and dashpots at sides of the grid, see `Faces.by_nodes`.
+        pushed: Output: changes of velocity by forces alone; or empty.
+        dt, kick: Time during which nodes move, and time during which forces act on them (s).
+        known: Whether velocities for the strain are set already.
+        last: Whether the points move by these velocities. The sums are then cleared.
+        done: Sums to add to, see `FusedSteps.done`.
     """
     _, mass, force, second = columns
     d = fixed.shape[1]
@@ -83,7 +83,7 @@ def move_nodes(
                 if fixed[k, i]:
                     y, end, change = before[k, i], held[k, i], 0.0
                     if own[k]:
-                        # what moves the node does work against its forces and its inertia
+                        # a prescribed motion works against forces and inertia of the node
                         work += (m * scaling * (end - y) - kick * f) * end
                 nodes[k, force + i] = end - y
                 grid += half * (end * end - y * y)
@@ -95,7 +95,7 @@ def move_nodes(
                 if own[k]:
                     if last:
                         work += dt * m * g[i] * end
-                    # what moves a node works against its damping too
+                    # a prescribed motion also works against the damping
                     damped += 0.5 * dt * resisting[i] * (y + end)
             if last:
                 for i in range(out.shape[1]):
@@ -108,10 +108,9 @@ def move_nodes(
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def divide(box, columns, out, momentum, nodes, fixed, held, own, g, dt, done, last):
-    """Velocities for the strain from momenta.
+    """Velocities for the strain from momenta; see `move_nodes` for the arguments.
 
-    If they move the points, too, weight works on them, and the sums are done with and cleared; see
-    `move_nodes` for the arguments.
+    If these velocities also move the points, the work of gravity is added, and sums are cleared.
     """
     work = 0.0
     for block in range(box[0], box[1]):
@@ -132,7 +131,7 @@ def divide(box, columns, out, momentum, nodes, fixed, held, own, g, dt, done, la
 
 @numba.njit(cache=True, error_model="numpy")
 def fastest(box, nodes, column, d):
-    """Largest speed, √(v·v), in d columns from one on, at the nodes of a box."""
+    """Largest speed √(v·v) at the nodes of a box; v are d columns, from a given column."""
     most = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
@@ -145,7 +144,7 @@ def fastest(box, nodes, column, d):
 
 @numba.njit(cache=True, error_model="numpy")
 def take_means(box, sums):
-    """Means from sums of volumes and of volumes times a change, in their place."""
+    """Replace sums of volumes times a change by means over the sums of volumes."""
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
             if sums[k, 0] > 0.0:

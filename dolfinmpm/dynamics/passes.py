@@ -1,4 +1,4 @@
-"""The passes over the points that an explicit step is made of."""
+"""The passes over the points in a fused explicit step."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ __all__ = [
     "Switches",
 ]
 
-# What compiled sums may do with floating-point numbers: reorder and contract them, nothing else.
+# Compiled sums may reorder and contract floating-point operations, nothing else.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
-# How the strain of a point makes its stress
+# Strain formulations
 LAW, SMALL, NEO, JAUMANN = 0, 1, 2, 3
 
-# How domains grow, see `dolfinmpm.body.domains`; 0 is no domain
+# Update rules of the points' domains, see `dolfinmpm.body.gimpdomains`; 0 means no domains
 GROWTH = {"stretch": 1, "volume": 2, "fixed": 3}
 
-# What a pass does with the means of F-bar: a pass that strains takes them and does nothing else,
-# so that they are known to all cells; the next uses them. By kind of F-bar: over cells by shares of
-# domains, or over splines one degree lower; and over the cells of the points' centres
+# Use of the means of F-bar in a pass: a first pass only sums them up over the cells, the next pass
+# uses them. Per kind of F-bar: means over cells by shares of domains, or over splines one degree
+# lower; and means over the cells of the points' centres
 MEANS: dict[bool | str, tuple[int, int]] = {True: (1, 2), "centres": (3, 4)}
 
 
 class Pass(NamedTuple):
-    """Parts of a pass, each fixed when it is compiled.
+    """Parts of a pass. They are fixed when the loop is compiled.
 
     Attributes:
-        velocity: Whether points take new velocities.
-        strain: Whether they are strained, by the velocities in the nodes' last columns.
-        move: Whether they move.
-        same: What they scatter where they were: 0 nothing, 1 momenta, 2 forces.
-        new: What they scatter where they are then: 0 nothing, 1 masses and momenta, 2 forces too.
+        velocity: Whether points get new velocities.
+        strain: Whether points are strained, by the velocities in the nodes' last columns.
+        move: Whether points move.
+        same: Sums at the nodes from the old positions: 0 none, 1 momenta, 2 forces.
+        new: Sums at the nodes from the new positions: 0 none, 1 masses and momenta, 2 also forces.
     """
 
     velocity: bool = False
@@ -52,12 +52,12 @@ class Pass(NamedTuple):
 
 
 class Switches(NamedTuple):
-    """What is chosen when a pass runs, and compiles nothing anew.
+    """Options of a pass. They are chosen when the loop runs.
 
     Attributes:
-        record: Whether it writes what only others read: accelerations, volumes, stresses.
-        advance: Whether points take part in all of it; if not, they only scatter as `Pass.new`.
-        scatter: Whether they do that.
+        record: Whether to write accelerations, volumes and stresses, which the loops do not read.
+        advance: Whether points do all parts of the pass; else they only do `Pass.new`.
+        scatter: Whether points do `Pass.new`.
     """
 
     record: bool = False
@@ -66,16 +66,17 @@ class Switches(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Columns of a node's sums over points, and of its motion.
+    """Columns of the sums over points at a node, and of the motion of a node.
 
-    Sums begin with the momentum, motion with the velocity at the end of the step. Loops take four
-    neighbours at once: in two dimensions momentum with force, in three momentum with mass.
+    The first columns are the momentum, and in the motion the velocity at the end of the step. Loops
+    process four adjacent columns at once: momentum and force in 2D, momentum and mass in 3D.
 
     Attributes:
-        width: Columns per node.
-        mass: The mass.
-        force: The force; in the motion the change of velocity.
-        second: Momentum of the new velocities; in the motion the velocity for the strain.
+        width: Number of columns.
+        mass: Column of the mass.
+        force: First column of the force, and in the motion of the change of velocity.
+        second: First column of the momentum of the new velocities, and in the motion of the
+            velocity for the strain.
     """
 
     width: int
@@ -86,7 +87,7 @@ class Columns(NamedTuple):
 
 COLUMNS = {2: Columns(8, 6, 2, 4), 3: Columns(12, 3, 4, 8)}
 
-# The passes of a step after the first scatter; the last one of each begins the next step.
+# The passes of a step, after the sums at its start. The last pass also makes the next step's sums.
 PASSES = {
     "usl": (Pass(velocity=True, strain=True, move=True, new=2),),
     "musl": (Pass(velocity=True, same=1), Pass(strain=True, move=True, new=2)),

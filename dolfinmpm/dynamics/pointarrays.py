@@ -1,4 +1,4 @@
-"""What fused loops take of the points, and give back."""
+"""Arrays of the points in the layout of the fused loops."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ __all__ = ["PointArrays"]
 
 Array = npt.NDArray[np.float64]
 
-# Rows and columns of a symmetric tensor, in the order in which the loops take its components
+# Rows and columns of a symmetric tensor, in the order of its components in the loops
 _PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
 
 
-# What else than elastic strain they follow from
+# Fields that the kept arrays depend on, besides the elastic strain
 _SOURCES = frozenset(("stress", "V", "V0", "density"))
 
 
 class PointArrays:
-    """Arrays of the points as the loops take them; anew when points have come or gone.
+    """Arrays of the points in the layout of the loops, for an unchanged set of points.
 
-    Those that follow from fields are kept from call to call, as long as the loops alone have
-    written to these.
+    Some arrays are computed from fields. They are kept from call to call as long as only the loops
+    write to these fields.
 
     Args:
         points: Material points.
-        laws: Their laws.
+        laws: The laws of the points.
         affine: Name of the field of affine velocities, or None.
 
     Attributes:
         data: The arrays, in the order of the loops.
-        J_bar: Product of the means of all steps where F-bar acts, else empty.
-        rows, skipped: All points, and room for those that a loop skips or does not scatter.
+        J_bar: Product of the mean volume changes of all steps with F-bar; else empty.
+        rows, skipped: All points, and space for points that a loop skips or does not scatter.
     """
 
     data: tuple[Any, ...]
@@ -55,7 +55,7 @@ class PointArrays:
         state = points[laws.state] if laws.state else np.empty((0, 6))
         small, logarithmic = laws.kind == SMALL, laws.kind == LAW
         e_out = 0.5 * np.log(state[:, 2]) if logarithmic else state[:, 2].copy()
-        # Kirchhoff's stresses; by columns, since fancy indices are ten times slower
+        # Kirchhoff stresses; by columns, because fancy indexing is ten times slower
         stress, J = points["stress"], 1.0 if small else points["V"] / points["V0"]
         tau = np.empty((n, len(_PAIRS[d][0])))
         for k, (i, j) in enumerate(zip(*_PAIRS[d])):
@@ -65,12 +65,12 @@ class PointArrays:
         self.take()
 
     def still(self, touched: Set[str]) -> bool:
-        """Whether what is kept is that of the points, if others may have changed such fields."""
+        """Whether the kept arrays are still valid after changes of some fields."""
         sources = _SOURCES | {self._laws.state}
         return self._revision == self._points.revision and not sources & touched
 
     def take(self) -> None:
-        """Take the fields' own arrays, which are the points' as long as no other is put in."""
+        """Take references to the fields' arrays. Replaced arrays need a new call."""
         points, laws, n, d = self._points, self._laws, len(self._points), self._points.gdim
         m, tau, e_out = self._own
         C = points[self._affine] if self._affine else np.empty((n, d, d))
@@ -83,7 +83,7 @@ class PointArrays:
         )  # fmt: skip
 
     def release(self) -> None:
-        """Let go of the fields' own arrays."""
+        """Release the references to the fields' arrays."""
         self.data, self.J_bar = (), np.empty(0)
 
     def strain(self) -> None:

@@ -1,4 +1,4 @@
-"""How explicit steps are taken: what the user chose, checked."""
+"""Settings of explicit steps, checked."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.smallmass import Filter, checked_viscosity, filters
@@ -19,10 +19,10 @@ SCHEMES = ("usl", "usf", "musl")
 
 
 def checked_courant(courant: Any) -> float:
-    """A share of the critical step, or infinity.
+    """The Courant number, a share of the critical step, or infinity.
 
     Raises:
-        ParameterError: It is no number, or steps would be longer than the critical one.
+        ParameterError: The argument is no number, or above 1.
     """
     share = math.inf if courant == math.inf else number("courant", courant, 0.0)
     if 1.0 < share < math.inf:
@@ -36,15 +36,15 @@ def checked_courant(courant: Any) -> float:
 
 @dataclass(frozen=True)
 class Settings:
-    """How explicit steps are taken, see `Explicit`.
+    """Settings of explicit steps, see `Explicit`.
 
     Attributes:
         scheme: Order of the stress update.
-        mapping: How velocities go to the grid and come back.
+        mapping: The velocity mapping between points and grid.
         damping: Share of local damping.
         scaling: Factor of the mass in the inertia.
         viscosity: Linear and quadratic coefficients of bulk viscosity.
-        filters: What acts on light nodes.
+        filters: Filters of light nodes.
         clock: DOLFINx constant that holds the time (s), or None.
     """
 
@@ -69,7 +69,7 @@ class Settings:
         redistribution: Any,
         clock: fem.Constant | None,
     ) -> Settings:
-        """Those that arguments ask for, on a basis and with a kind of mass.
+        """Settings by the user's arguments, for a basis and a kind of mass.
 
         Raises:
             ParameterError: An argument has the wrong type or a value outside its range.

@@ -1,24 +1,21 @@
-"""Stabilisations of explicit steps against light nodes, and bulk viscosity against shocks."""
+"""Filters of light nodes in explicit steps, and bulk viscosity."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils, gather
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import smallest_height
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["MassCutOff", "Redistribution", "checked_viscosity", "filters", "viscous_pressure"]
 
@@ -26,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Filter(Protocol):
-    """What acts on light nodes."""
+    """A filter of light nodes."""
 
     def act(self, V: Array, f: Array, mass: Mass, s: Stencils) -> None:
         """Change velocities (m/s) and forces (N) of the nodes, shape (nodes, d). Collective."""
@@ -37,12 +34,12 @@ def _largest(mass: Mass) -> float:
 
 
 class MassCutOff:
-    """Nodes of too little mass stand still (Sulsky, Zhou & Schreyer 1995).
+    """Nodes with too little mass stand still (Sulsky, Zhou & Schreyer 1995).
 
-    Momentum of theirs is lost.
+    Their momentum is lost.
 
     Args:
-        share: Share of the largest nodal mass below which they do.
+        share: Share of the largest nodal mass below which nodes stand still.
     """
 
     def __init__(self, share: float):
@@ -55,11 +52,11 @@ class MassCutOff:
 
 
 class Redistribution:
-    """Light nodes hand a part of their forces to their neighbours.
+    """Light nodes pass a part of their forces to their neighbours.
 
-    A node keeps the share m/m₀ of its force, m₀ being a share of the largest mass; the rest goes
-    to the heavier nodes that share a point with it, by their masses, so that the sum of forces
-    stays and no acceleration exceeds f/m₀ (after Ma, Zhang & Qiu 2010, Comput. Model. Eng.
+    A node keeps the share m/m₀ of its force; m₀ is a share of the largest mass. The rest goes to
+    the heavier nodes that share a point with it, in proportion to their masses. So the sum of
+    forces stays, and no acceleration exceeds f/m₀ (after Ma, Zhang & Qiu 2010, Comput. Model. Eng.
     Sci. 65).
 
     Args:
@@ -80,7 +77,7 @@ class Redistribution:
         heavy.getArray()[:] = np.where(light, 0.0, m)[:owned]
         near.mult(heavy, weights)
         total = weights.getArray().copy()
-        # a node without heavier neighbours keeps what it has
+        # a node without heavier neighbours keeps its force
         given = np.where(light[:owned] & (total > 0), 1.0 - m[:owned] / bound, 0.0)
         per_weight, taken = given / np.maximum(total, 1e-300), heavy.duplicate()
         for k in range(f.shape[1]):
@@ -90,7 +87,7 @@ class Redistribution:
 
 
 def _neighbours(light: npt.NDArray[np.bool_], mass: Mass, s: Stencils) -> PETSc.Mat:
-    """Ones where a light node, the row, shares a point of any rank with a node. Collective."""
+    """Matrix with 1 if a light node (row) and a node (column) share a point. Collective."""
     from scipy import sparse
 
     groups, owned = s.node_start.size - 1, mass.nodes.owned
@@ -106,14 +103,14 @@ def _neighbours(light: npt.NDArray[np.bool_], mass: Mass, s: Stencils) -> PETSc.
     found.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
     found.setUp()
     for row, first, last in zip(rows, near.indptr, near.indptr[1:]):
-        # what several ranks see is still one
+        # a pair known to several ranks counts once
         found.setValues(row, columns[first:last], ones[: last - first], PETSc.InsertMode.INSERT)
     found.assemble()
     return found
 
 
 def filters(mass_cutoff: Any, redistribution: Any) -> list[Filter]:
-    """The filters that arguments ask for.
+    """The filters by the user's arguments.
 
     Raises:
         ParameterError: A share is not in [0, 1].
@@ -130,7 +127,7 @@ def checked_viscosity(given: Any) -> tuple[float, float]:
     """The two coefficients of bulk viscosity.
 
     Raises:
-        ParameterError: They are not two numbers from 0.
+        ParameterError: The argument is not a pair of numbers of at least 0.
     """
     if not isinstance(given, (tuple, list)) or len(given) != 2:
         raise ParameterError(f"bulk_viscosity = {given!r} must be two numbers, as (0.06, 1.2)")
@@ -143,9 +140,9 @@ def checked_viscosity(given: Any) -> tuple[float, float]:
 def viscous_pressure(
     points: MaterialPoints, s: Stencils, V: Array, b: tuple[float, float], c: Array
 ) -> Array:
-    """−ρ h (b₁ c |ε̇| + b₂² h ε̇²) I times the points' volumes where they are compressed.
+    """−ρ h (b₁ c |ε̇| + b₂² h ε̇²) I times the points' volumes, in compression.
 
-    (von Neumann & Richtmyer 1950, doi 10.1063/1.1699639; with ε̇ the rate of volume.)
+    ε̇ is the rate of volumetric strain (von Neumann & Richtmyer 1950, doi 10.1063/1.1699639).
 
     Args:
         points: Material points.

@@ -1,4 +1,4 @@
-"""What explicit steps keep from call to call, among it the last good state of a run."""
+"""Data that explicit steps keep from call to call, with a copy of the last good state."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.ledger import Work
 
 __all__ = ["CallMemory", "Snapshot"]
@@ -21,19 +21,19 @@ _FIXED = frozenset(("id", "tag", "x0", "V0", "l0", "density"))
 
 
 class Snapshot:
-    """A copy of the points' fields, in memory that is used again for the next one.
+    """A copy of the state of points and bodies. The next copy uses the same memory.
 
     Args:
         points: Material points.
         bodies: Rigid bodies.
-        markers: Those of boundaries that do not fit the grid.
+        markers: Markers of boundaries that do not fit the grid.
 
     Attributes:
-        time: Time that it is of (s).
+        time: Time of the copy (s).
     """
 
     def __init__(
-        self, points: MaterialPoints, bodies: Bodies, markers: Sequence[MaterialPoints] = ()
+        self, points: MaterialPoints, bodies: RigidBodies, markers: Sequence[MaterialPoints] = ()
     ):
         self.time = math.nan
         self._bodies, self._of_bodies = bodies, bodies.state()
@@ -42,10 +42,12 @@ class Snapshot:
         self._fields: list[dict[str, npt.NDArray]] = [{} for _ in self._sets]
 
     def take(self, time: float, work: Work, touched: Set[str]) -> None:
-        """Copy what points and bodies have at a time (s), and the work done until then (J).
+        """Copy the present state.
 
         Args:
-            touched: Fields of the points that others may have changed since the last copy.
+            time: Time of the state (s).
+            work: Works until this time.
+            touched: Fields of the points that the user may have changed since the last copy.
         """
         revision = self._sets[0].revision
         still = _FIXED - touched if revision == self._revision else frozenset()
@@ -64,8 +66,8 @@ class Snapshot:
                 np.copyto(own, values)
                 self._fields[k][name] = own
 
-    def put(self, work: Work) -> None:
-        """Give all back what it had, points on the ranks that had them. Collective."""
+    def restore(self, work: Work) -> None:
+        """Restore the state and the works. Points go back to their ranks. Collective."""
         self._bodies.set_state(self._of_bodies)
         work.take(self._work)
         for points, fields in zip(self._sets, self._fields):
@@ -77,22 +79,22 @@ class Snapshot:
 
 @dataclass
 class CallMemory:
-    """What explicit steps keep from call to call.
+    """Data that explicit steps keep from call to call.
 
     Attributes:
-        state: What a run goes back to.
-        moment: End of the last call, since when fields may have been changed; see `FieldArrays`.
-            None if all count as changed.
-        critical: Critical step that was found last (s).
-        since: Steps that have been taken since.
-        single: Whether the last call took one step. Only steps of one call each share a critical
-            step with those of other calls: a call of many finds its own.
+        state: Copy of the state to which a failed run goes back.
+        moment: End of the last call, to find fields changed later; see `FieldArrays`. None if all
+            fields count as changed.
+        critical: The last critical step (s).
+        steps_since: Number of steps since the critical step was found.
+        single: Whether the last call took one step. Calls with one step share a critical step. A
+            call with several steps finds its own.
     """
 
     state: Snapshot
     moment: int | None = None
     critical: float = math.nan
-    since: int = 0
+    steps_since: int = 0
     single: bool = False
 
     def touched(self, points: MaterialPoints) -> Set[str]:

@@ -1,4 +1,4 @@
-"""What a step in time does: work of loads and contacts, and what penalties and dashpots take."""
+"""Works in an implicit step in time: of loads, contacts, penalties and dashpots."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.mass import Mass
-from dolfinmpm.dynamics.reserve import changes_of
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["MovingNodes", "count", "pressed", "work_of_contact", "work_of_loads"]
+__all__ = [
+    "MovingNodes",
+    "add_work_of_nodes",
+    "mean_contact_forces",
+    "work_of_contact",
+    "work_of_loads",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -28,10 +33,10 @@ class MovingNodes:
 
     Attributes:
         k: Number of the field.
-        tags: Tags of the points that it moves, or None for all.
-        mass: Their mass.
-        momenta: Momenta that the points gave them (kg m/s), shape (nodes, d).
-        V, A: Their velocities (m/s) and accelerations (m/s²), likewise.
+        tags: Tags of the points moved by the field, or None for all points.
+        mass: Mass of the nodes.
+        momenta: Momenta mapped from the points (kg m/s), shape (nodes, d).
+        V, A: Velocities (m/s) and accelerations (m/s²), shape (nodes, d).
     """
 
     k: int
@@ -42,7 +47,7 @@ class MovingNodes:
     A: Array
 
 
-def pressed(operator: Operator) -> list[Array]:
+def mean_contact_forces(operator: Operator) -> list[Array]:
     """Mean forces of contact on the nodes of each field (N). Collective."""
     means = operator.form.means
     assert means is not None
@@ -51,7 +56,7 @@ def pressed(operator: Operator) -> list[Array]:
 
 def work_of_contact(operator: Operator, nodes: Sequence[MovingNodes]) -> float:
     """Work of mean forces of contact on the nodes in a step (J). Collective."""
-    done, forces, unknowns = 0.0, pressed(operator), operator.here.unknowns
+    done, forces, unknowns = 0.0, mean_contact_forces(operator), operator.here.unknowns
     for one in nodes:
         owned = unknowns.fields[one.k].owned_nodes
         done += float(np.sum((forces[one.k] * operator.increments[one.k])[owned]))
@@ -66,18 +71,18 @@ def work_of_loads(
     dt: float,
     varying: bool,
 ) -> float:
-    """Work of loads, and of what moves prescribed components, in a step (J). Collective.
+    """Work of loads and of prescribed motions in a step (J). Collective.
 
-    What moves them gives the nodes momentum, and the body forces that are the mean of those
-    before and after, at the velocity u/Δt: the work is of second order.
+    Prescribed motions change the momentum of their nodes, and do work against the mean of the
+    forces before and after the step, with the velocity u/Δt. This work is of second order.
 
     Args:
         operator: The step's equations, at their solution.
-        x: Unknowns at the level where forces balance, shape (owned,).
-        scale: What they are multiplied by at the end.
-        moved: The nodes that move points, and how they moved.
+        x: Unknowns at the level of balance, shape (owned,).
+        scale: Increments at the end over increments at the level of balance.
+        moved: The nodes that move points, and their motion.
         dt: Length of the step (s).
-        varying: Whether any load changes in it.
+        varying: Whether any load changes in the step.
     """
     here = operator.here
     if not (here.driven or varying):
@@ -86,17 +91,17 @@ def work_of_loads(
     if not here.driven:
         plain.move(x, scale)
         return plain.load_work()
-    plain.start()
+    plain.move_to_start()
     start = plain.forces(without=("contact",))
     plain.move(x, scale)
-    both = zip(start, plain.forces(without=("contact",)), pressed(operator))
+    both = zip(start, plain.forces(without=("contact",)), mean_contact_forces(operator))
     forces = [0.5 * (f + g) - push for f, g, push in both]
     for one, motion in moved:
         forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
-    return plain.load_work() + plain.held_work(forces)
+    return plain.load_work() + plain.work_at_prescribed(forces)
 
 
-def count(
+def add_work_of_nodes(
     work: Work,
     one: MovingNodes,
     motion: NodalMotion,
@@ -105,13 +110,11 @@ def count(
     expected: Array,
     faces: Any,
 ) -> float:
-    """Add what the nodes' kinetic energy changes by, and what penalties and dashpots take.
-
-    Collective.
+    """Add changes of the nodes' kinetic energy, and losses by penalties and dashpots. Collective.
 
     Args:
-        work: Added to.
-        one, motion: The nodes, and how they moved.
+        work: Sums to add to.
+        one, motion: The nodes, and their motion.
         operator: The step's equations, at their solution.
         share: Share of the penalties' forces in the step's mean forces.
         expected: Increments (m) that penalties on changes of the velocity do not resist, shape
@@ -119,7 +122,7 @@ def count(
         faces: Faces of the grid that act on the nodes, or None.
 
     Returns:
-        What penalties on changes of the velocity take (J).
+        Energy taken by penalties on changes of the velocity (J).
     """
     mass, losses, here = one.mass, work.losses, operator.here
     found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
@@ -128,7 +131,7 @@ def count(
     u = motion.u
     assert u is not None
     plain = [*here.blocks_of("stiffness", one.k), *here.blocks_of("penalty", one.k)]
-    stored = share * mass.inner(u, changes_of(here, one.k), u - expected)
+    stored = share * mass.inner(u, here.blocks_of("changes", one.k), u - expected)
     losses["ghost stiffness"] += share * mass.inner(u, plain, u) + stored
     if faces is not None and faces.dashpots is not None:
         owned = here.unknowns.fields[one.k].owned_nodes

@@ -1,14 +1,14 @@
-"""The scheme of implicit steps in time: Newmark's rule and the generalised-α method.
+"""Schemes of implicit steps in time, among them Newmark's rule and the generalised-α method.
 
-A step solves f(w) + M a_α = 0 for the increment w at the time level where forces balance, with
-the accelerations that the rule gives for it; f is the quasi-static form, and the mass is that of
+A step solves f(w) + M a_α = 0 for the increment w at the time level at which forces balance. Here
+f is the quasi-static form, the rule gives the acceleration a_α for w, and the mass M is that of
 `dolfinmpm.dynamics.mass`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,73 +16,193 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm.assembly.term import ActiveTerm, NewState
-from dolfinmpm.contact.means import Means
-from dolfinmpm.cut.participants import Activation
-from dolfinmpm.dynamics.clock import mean_increment
+from dolfinmpm.contact.meanforces import MeanForceWeights
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.dynamics.clock import (
+    MotionRecord,
+    Time,
+    end_of_step,
+    mean_increment,
+    open_time,
+)
+from dolfinmpm.dynamics.energybounds import SHORTEST
 from dolfinmpm.dynamics.faces import set_velocities
-from dolfinmpm.dynamics.gains import LEAST
+from dolfinmpm.dynamics.gridmotion import GridMotion
 from dolfinmpm.dynamics.inertiaterm import Inertia
-from dolfinmpm.dynamics.intime import InTime
 from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.motion import Motion
-from dolfinmpm.dynamics.rule import Rule
+from dolfinmpm.dynamics.newmarkrule import NewmarkRule
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.freebodies import FreeBodies, Inertial
+from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.scheme import ended
+from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["TimeScheme"]
+__all__ = ["NewmarkScheme", "StepClock", "TimedScheme"]
 
 Array = npt.NDArray[np.float64]
 
 
-class TimeScheme(InTime):
+@dataclass
+class StepClock:
+    """Times of a problem, and the length of its next step.
+
+    Attributes:
+        time: Time of the state (s).
+        start, end: Start and end of the step (s).
+        last: Length of the last substep (s).
+        wanted: Length allowed by the error of the last step (s); 0 before the first step.
+        largest: Largest displacement in a substep so far (m).
+        begun: Whether a substep has been taken.
+    """
+
+    time: float = 0.0
+    start: float = 0.0
+    end: float = 0.0
+    last: float = 0.0
+    wanted: float = 0.0
+    largest: float = 0.0
+    begun: bool = False
+
+    def judge(self, dt: float, found: float, allowed: float, order: int) -> str | None:
+        """Choose the length of the next step by the error of this step, or refuse this step.
+
+        Args:
+            dt: Length of the step (s).
+            found: Error of its displacement (m).
+            allowed: Bound of the error (m).
+            order: Order of the error in the length of the step.
+
+        Returns:
+            The reason to refuse the step, or None.
+        """
+        ratio = (allowed / found) ** (1 / order) if found > 0 else 2.0
+        self.wanted = dt * min(max(0.9 * ratio if found > 0 else ratio, 0.2), 2.0)
+        if found > allowed:
+            return (
+                f"the error of the step's displacement is {found:.3g} m and may be {allowed:.3g} m"
+            )
+        return None
+
+
+class TimedScheme(Static):
+    """An implicit scheme whose steps have a length in seconds.
+
+    Args:
+        error: Bound of a step's error, as a share of the largest displacement of a step so far, or
+            None.
+        constant: DOLFINx constant that holds the time (s), or None.
+
+    Attributes:
+        error: The argument.
+        clock: Times of the problem.
+    """
+
+    record = MotionRecord
+    in_time = True
+
+    def __init__(self, error: float | None, constant: fem.Constant | None):
+        self.error, self._constant = error, constant
+        self.clock = StepClock()
+        self._t: Any = None
+
+    def set_time(self, t: float) -> None:
+        """Set the time in the form (s)."""
+        if self._constant is not None:
+            self._constant.value = t
+
+    def begin(self, problem: Any, t: float | None) -> None:
+        """See `Static`. Collective.
+
+        Raises:
+            ParameterError: The time is missing, or not later than the time of the state.
+        """
+        clock, self._t = self.clock, open_time(t, self.clock.time)
+        wanted = None if self.error is None else clock.wanted
+        clock.end, clock.start = end_of_step(self._t, clock.time, wanted), clock.time
+
+    def substep(self, done: float, share: float) -> Step:
+        """See `Static`."""
+        whole = self.clock.end - self.clock.start
+        return Step(self.clock.start + (done + share) * whole, share * whole, share)
+
+    def fail(self) -> None:
+        """See `Static`."""
+        self.set_time(self.clock.time)
+
+    def end(self, record: StepRecord | None) -> None:
+        """See `Static`. Collective."""
+        if record is None:
+            return
+        assert isinstance(record, MotionRecord)
+        record.time, record.dt = self.clock.time, self.clock.last
+        if isinstance(self._t, Time):
+            self._t.reached = self.clock.time
+
+    def state(self) -> dict[str, Any]:
+        """See `Scheme`."""
+        return {"clock": np.array(astuple(self.clock), float)}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """See `Scheme`."""
+        time, start, end, last, wanted, largest, begun = values["clock"].tolist()
+        self.clock = StepClock(time, start, end, last, wanted, largest, bool(begun))
+        self.set_time(self.clock.time)
+
+
+class NewmarkScheme(TimedScheme):
     """Steps in time by a rule of Newmark's family.
 
     Args:
         rule: The rule.
-        ties_movers: Whether nodes that move points are tied where points hardly support them.
-        error, constant: See `InTime`.
+        ties_movers: Whether nodes with little support by points are constrained to others, in
+            fields that move points.
+        error, constant: See `TimedScheme`.
 
     Attributes:
         rule, ties_movers: The arguments.
         jumped: Whether a load jumps at the start of the step.
-        motion: What the grid's motion was in the last step; the problem sets it.
+        motion: Motion of the grid's nodes in the last step; the problem sets it.
     """
 
     inertia = True
-    motion: Motion
+    motion: GridMotion
 
     def __init__(
-        self, rule: Rule, ties_movers: bool, error: float | None, constant: fem.Constant | None
+        self,
+        rule: NewmarkRule,
+        ties_movers: bool,
+        error: float | None,
+        constant: fem.Constant | None,
     ):
         super().__init__(error, constant)
         self.rule, self.ties_movers, self.jumped = rule, ties_movers, False
 
     @property
-    def means(self) -> Means:
-        """How contacts act in the mean over a step."""
+    def means(self) -> MeanForceWeights:
+        """Weights of contact forces in the mean over a step."""
         rule = self.rule
-        return Means((1.0 - rule.alpha_m) / (2.0 * rule.beta), 1.0 / (1.0 - rule.alpha_f))
+        return MeanForceWeights(
+            (1.0 - rule.alpha_m) / (2.0 * rule.beta), 1.0 / (1.0 - rule.alpha_f)
+        )
 
     def begin(self, problem: Any, t: float | None) -> None:
-        """See `InTime`. Collective."""
+        """See `TimedScheme`. Collective."""
         super().begin(problem, t)
         self.jumped = problem.loads.jumps()
         self.motion.begin(self.jumped, any(problem.loads.change) or self._constant is not None)
         self.motion.ledger.begin()
 
     def end(self, record: StepRecord | None) -> None:
-        """See `InTime`: what has been taken of a step counts. Collective."""
+        """See `TimedScheme`. The substeps taken so far count. Collective."""
         self.motion.ledger.end()
         super().end(record)
 
     def _load_at(self, problem: Any, step: Step, share: float) -> None:
-        """Set time and loads to those at a share of a step; what jumps has done so at its start."""
+        """Set time and loads at a share of a step. Loads that jump do so at its start."""
         clock = self.clock
         done = (step.t - clock.start) / (clock.end - clock.start)
         problem.loads.set(done if self.jumped else done - (1 - share) * step.share)
@@ -92,7 +212,7 @@ class TimeScheme(InTime):
         """See `Static`. Collective."""
         motion, rule, points = self.motion, self.rule, problem.points
         set_velocities(problem.bcs, lambda v: mean_increment(v, step))
-        # increments are those of the level where forces balance, and so are rates
+        # increments and rates belong to the level at which forces balance
         points.dt.value = (1 - rule.alpha_f) * step.dt
         problem.bodies.begin(step.dt)
         here = problem.activate(step)
@@ -103,10 +223,10 @@ class TimeScheme(InTime):
             bases = [field.basis for field in here.fields]
             level = problem.held.at(bases, (1 - rule.alpha_f) * step.share)[1]
             here = replace(here, prescribed=level)
-        self._free(problem, step)
-        share, free = motion.reserve.share, (1 - rule.alpha_f) * step.dt
+        self._begin_free_bodies(problem, step)
+        share, level_dt = motion.penalty_energy.share, (1 - rule.alpha_f) * step.dt
         known = {one.k: rule.known(one.V, one.A, step.dt) for one in motion.nodes}
-        expected = {one.k: share[one.k] * free * one.V for one in motion.nodes}
+        expected = {one.k: share[one.k] * level_dt * one.V for one in motion.nodes}
         masses, factor = {one.k: one.mass for one in motion.nodes}, rule.factor(step.dt)
         points.inertia.value = factor
         self._carry_accelerations(problem, here, known)
@@ -117,7 +237,7 @@ class TimeScheme(InTime):
     def _carry_accelerations(
         self, problem: Any, here: Activation, known: Mapping[int, Array]
     ) -> None:
-        """Give points the accelerations at the start of a step that a form carries."""
+        """Set the points' field of accelerations at the start of a step, if the form has it."""
         for field in problem.form.parts.carried:
             if isinstance(field, StartAcceleration):
                 for one in self.motion.nodes:
@@ -125,8 +245,8 @@ class TimeScheme(InTime):
                     found = collect(here.fields[one.k].stencils, known[one.k])
                     problem.points[field.name][rows] = found[rows]
 
-    def _free(self, problem: Any, step: Step) -> None:
-        """Begin the step of the free rigid bodies, at the level where forces balance."""
+    def _begin_free_bodies(self, problem: Any, step: Step) -> None:
+        """Begin the step of the free rigid bodies, at the level at which forces balance."""
         rule, dt = self.rule, step.dt
         for body in problem.bodies.free:
             assert body.freedom is not None
@@ -140,9 +260,9 @@ class TimeScheme(InTime):
             )  # fmt: skip
 
     def _rates(self, problem: Any, here: Activation, step: Step) -> list[Array]:
-        """Velocities of held components at the start of a step (m/s), each field's. Collective.
+        """Velocities of prescribed components at the start of a step (m/s), per field. Collective.
 
-        Those prescribed there, and increments over the step's length.
+        They are the prescribed velocities, and prescribed increments over the step's length.
         """
         if not any(condition.velocity for condition in problem.bcs):
             return [np.asarray(g / step.dt, np.float64) for g in here.prescribed]
@@ -159,28 +279,27 @@ class TimeScheme(InTime):
     def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:
         """See `Static`. Collective."""
         motion = self.motion
-        # forces balance at a level within the step, the state is that at its end
+        # forces balance at a level within the step; the state is the state at its end
         scale = 1.0 / (1.0 - self.rule.alpha_f)
         problem.bodies.put(1.0)
-        kept: dict[str, Array] = {}
+        carried: dict[str, Array] = {}
         for update in problem.form.updates if scale != 1.0 else ():
             if update.carried:
-                update.run(operator.points, kept)
+                update.run(operator.points, carried)
         if scale != 1.0:
             operator.move(x, scale)
-        state = ended(problem, operator, kept)
+        state = new_state(problem, operator, carried=carried)
         if isinstance(state, str):
             return state
         self._load_at(problem, step, 0.5)
-        parts = step.share >= 2 * 0.5**problem.max_halvings
-        parts = parts and step.share > LEAST
+        may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings
         motions = motion.ends(operator, step.dt)
         reason = self._judge(motions, operator.here, step.dt)
         if reason is None:
-            reason = motion.to_points(operator, state, motions, step.dt, x, scale, parts)
+            reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
         if reason is None:
             self.clock.time, self.clock.last = step.t, step.dt
-            self._move_free(problem, operator, step.dt)
+            self._end_free_bodies(problem, operator, step.dt)
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
 
@@ -194,7 +313,7 @@ class TimeScheme(InTime):
             clock.largest = max(clock.largest, float(largest))
         return reason
 
-    def _move_free(self, problem: Any, operator: Operator, dt: float) -> None:
+    def _end_free_bodies(self, problem: Any, operator: Operator, dt: float) -> None:
         """Give the free rigid bodies their velocities at the end of a step. Collective."""
         rule = self.rule
         acting = problem.bodies.acting(operator)
@@ -210,7 +329,7 @@ class TimeScheme(InTime):
             force = sum((np.concatenate(both) for both in totals), np.zeros_like(A))
             M = free.inertia(body.start)[np.ix_(own, own)]
             pushed[own] = np.linalg.solve(M, force[own])
-            V_end, A_end = rule.pushed(rule.velocity(V, A, A_end, dt), A_end, pushed, dt)
+            V_end, A_end = rule.with_contact(rule.velocity(V, A, A_end, dt), A_end, pushed, dt)
             free.velocity[own] = V_end[own]
             free.acceleration = np.zeros_like(A)
             free.acceleration[own] = A_end[own]

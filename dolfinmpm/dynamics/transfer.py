@@ -1,7 +1,7 @@
 """Sums from the points to the nodes and back, along their stencils.
 
-Σ_p S_ap w_p q_p hands to node a what the points carry, and Σ_a S_ap q_a gives it back. With
-an affine part, a point carries q_p + C_p (x_a − x_p) to node a.
+Σ_p S_ap w_p q_p sums values of the points at node a, and Σ_a S_ap q_a interpolates nodal values at
+point p. With an affine part, point p has the value q_p + C_p (x_a − x_p) at node a.
 """
 
 from __future__ import annotations
@@ -114,10 +114,10 @@ def _scatter_stress(order, groups, node_start, nodes, value_start, dN, stress, o
 
 @numba.njit(cache=True, error_model="numpy")
 def _mass_entries(order, groups, node_start, nodes, value_start, N, mass, rows, columns, values):
-    """Entries row by row, columns increasing; returns how many there are."""
+    """Write the entries row by row, with increasing columns; returns their number."""
     low, start, lists, places = by_nodes(0, groups.size - 1, node_start, nodes)
     size, count = start.size - 1, 0
-    # where a column's sum is, -1 while it has none
+    # entry of a column in the present row, or -1
     slot = np.full(size, -1, np.int32)
     for a in range(size):
         begin = count
@@ -160,7 +160,7 @@ def scatter(s: Stencils, weight: Array, q: Array, out: Array) -> None:
     Args:
         s: Stencils.
         weight: w, shape (points,).
-        q: What the points carry, shape (points, components).
+        q: Values of the points, shape (points, components).
         out: Sums, shape (nodes, components).
     """
     _scatter(*_rows(s), weight, q, out)
@@ -217,7 +217,7 @@ def collect(s: Stencils, q: Array, size: int | None = None) -> Array:
     Args:
         s: Stencils.
         q: Nodal values, shape (nodes, components).
-        size: How many points there are if stencils are of some of them; others have zeros.
+        size: Number of all points, if the stencils are those of some points. Other points get 0.
     """
     out = np.zeros((s.order.size if size is None else size, q.shape[1]))
     _collect(*_rows(s), q, out)
@@ -227,16 +227,16 @@ def collect(s: Stencils, q: Array, size: int | None = None) -> Array:
 def moments(s: Stencils, q: Array, q_point: Array, r: Array, r_point: Array) -> Array:
     """Σ_a S_ap (q_a − q_p) ⊗ (r_a − r_p) at the points.
 
-    With q = r = x it is the D of APIC (Jiang et al. 2015, doi 10.1145/2766996): h²/4 and h²/3
-    times the identity for quadratic and cubic splines, singular for linear functions of a
-    point at a node, and for GIMP never below h/2 times the half-length of the domain.
+    With q = r = x the result is the D of APIC (Jiang et al. 2015, doi 10.1145/2766996). D is h²/4
+    and h²/3 times the identity for quadratic and cubic splines. It is singular for linear functions
+    and a point at a node. For GIMP it is at least h/2 times the half-length of the domain.
 
     Args:
         s: Stencils.
         q: Nodal values, shape (nodes, c).
-        q_point: Their means Σ_a S_ap q_a, shape (points, c).
+        q_point: The sums Σ_a S_ap q_a, shape (points, c).
         r: Nodal values, shape (nodes, e).
-        r_point: Their means, shape (points, e).
+        r_point: The sums Σ_a S_ap r_a, shape (points, e).
 
     Returns:
         Shape (points, c, e).
@@ -256,7 +256,7 @@ def mass_entries(s: Stencils, mass: Array) -> tuple[npt.NDArray, npt.NDArray, Ar
     Returns:
         Nodes of the rows, of the columns and values (kg), shape (n,) each.
     """
-    # at most, where no two groups share a pair of nodes
+    # largest number of entries: no two groups share a pair of nodes
     most = int(np.sum(np.diff(s.node_start).astype(np.int64) ** 2))
     rows, columns = np.empty(most, np.int32), np.empty(most, np.int32)
     values = np.empty(most)

@@ -11,9 +11,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -22,13 +22,13 @@ from dolfinmpm.dynamics.clock import (
     check_clock,
     mean_increment,
 )
-from dolfinmpm.dynamics.faces import divided, set_velocities
-from dolfinmpm.dynamics.intime import InTime
+from dolfinmpm.dynamics.faces import set_velocities, split_conditions
+from dolfinmpm.dynamics.timescheme import TimedScheme
 from dolfinmpm.solve.arguments import check_points
+from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.pressures import refuse_idle, refuse_undetermined
+from dolfinmpm.solve.problemchecks import check_pressure_conditions, check_pressure_level
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.scheme import ended
 from dolfinmpm.solve.step import Step
 
 __all__ = ["Transient"]
@@ -39,12 +39,12 @@ Array = npt.NDArray[np.float64]
 _RATE = "rate"
 
 
-class Rates(InTime):
+class Rates(TimedScheme):
     """Scheme of quasi-static steps in time. A rate is an increment over the length of the step.
 
     Args:
         points: Material points.
-        error, constant: See `InTime`.
+        error, constant: See `TimedScheme`.
     """
 
     def __init__(self, points: MaterialPoints, error: float | None, constant: fem.Constant | None):
@@ -59,13 +59,13 @@ class Rates(InTime):
         first = problem.here is None
         operator = super().system(problem, step)
         if first:
-            refuse_idle(problem.bcs, operator.here)
-            refuse_undetermined(operator)
+            check_pressure_conditions(problem.bcs, operator.here)
+            check_pressure_level(operator)
         return operator
 
     def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:
         """See `Static`. Collective."""
-        state = ended(problem, operator)
+        state = new_state(problem, operator)
         if isinstance(state, str):
             return state
         if self.error is not None:
@@ -110,13 +110,30 @@ class Transient(QuasiStatic):
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    One hour of consolidation under a settlement of 1 cm:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=1800.0)
+    >>> V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    >>> u, v, p, q = V.increment, V.test, Q.increment, Q.test
+    >>> soil = mpm.materials.Hencky(E=1e6, nu=0.0)
+    >>> F = mpm.poromechanics(soil, points, (u, p), (v, q), permeability=1e-7, porosity=0.4)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.fixed(Q, "top")
+    >>> bcs += mpm.prescribed(V, "top", 1, increment=-0.01)
+    >>> problem = mpm.Transient(F, [u, p], points, bcs)
+    >>> record = problem.step(3600.0)
+    >>> problem.time, points["pressure"].max().round(0).item()
+    (3600.0, 3283.0)
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
     scheme: Rates
     _takes_scheme = False
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -130,7 +147,7 @@ class Transient(QuasiStatic):
     ):
         if error is not None:
             number("error", error, 0.0)
-        conditions, faces = divided(bcs)
+        conditions, faces = split_conditions(bcs)
         if faces:
             raise ParameterError(
                 f"the face at '{faces[0].where}' acts on velocities, and Transient has no inertia: "

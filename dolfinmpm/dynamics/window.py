@@ -1,4 +1,4 @@
-"""Nodes of the lattice around a rank's cells, by their position, for fused loops."""
+"""Window of fused loops: nodes of the lattice around a rank's cells, stored by position."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dolfinx.la import InsertMode
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import greville
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.cellmeans import numbering
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.cellaverages import numbering
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.cellfinder import CellFinder, extent
 from dolfinmpm.dynamics.faces import Faces, Sides, set_velocities
 from dolfinmpm.dynamics.nodes import take_means
@@ -27,12 +27,12 @@ __all__ = ["MARGIN", "Exchange", "Prescribed", "Window", "WindowMeans"]
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
 
-# Layers of cells that points may wander beyond this rank's own before they are handed on
+# Layers of cells around this rank's cells that points may enter before they change rank
 MARGIN = 2
 
 
 class Window:
-    """The nodes that points of this rank may reach, and what they have. Collective.
+    """The nodes that points of this rank may reach, with their motion and sums. Collective.
 
     Args:
         points: Material points.
@@ -40,14 +40,14 @@ class Window:
         sides: Sides of the grid that act on the body.
 
     Attributes:
-        basis: The basis with the overlap that the window needs.
+        basis: The basis, with the overlap of ranks needed by the window.
         nodes, out: Motion of the nodes, and sums over points, shape (nodes, columns), see
             `dolfinmpm.dynamics.passes.Columns`.
-        own: Nodes whose work this rank counts, shape (nodes,).
-        place: Where the window has a node of the basis, or -1, shape (nodes of the basis,).
-        grid: What the loops over points know of lattice and window.
-        sides: What acts at sides of the grid, see `Faces.by_nodes`.
-        cells: Finds cells of the points.
+        own: Mask of the nodes whose work this rank counts, shape (nodes,).
+        place: Number in the window of each node of the basis, or -1, shape (nodes of the basis,).
+        grid: Data of lattice and window for the loops over points.
+        sides: Friction and dashpots at sides of the grid, see `Faces.by_nodes`.
+        cells: Finder of the points' cells.
     """
 
     def __init__(self, points: MaterialPoints, basis: LatticeBasis, sides: Sides):
@@ -76,10 +76,10 @@ class Window:
         self.cells = CellFinder(basis)
 
     def exchange(self, width: int) -> Exchange | None:
-        """What adds up so many columns of sums at its nodes over ranks, or None on one. Collective.
+        """Exchange of sums at the window's nodes between ranks; None on one rank. Collective.
 
         Args:
-            width: The columns.
+            width: Number of columns of the sums.
         """
         nodes = self.basis.nodes
         if self.basis.grid.comm.size == 1:
@@ -87,7 +87,14 @@ class Window:
         return Exchange(nodes, self._known, self._at, width)
 
     def places(self, ijk: npt.NDArray[Any]) -> tuple[Places, Places]:
-        """Which of places in the lattice, shape (n, d), the window has, and where it has them."""
+        """Numbers in the window of positions in the lattice.
+
+        Args:
+            ijk: Positions, shape (n, d).
+
+        Returns:
+            The positions inside the window, and their numbers in the window.
+        """
         ijk = ijk - self.basis.halo.origin
         inside = np.all((ijk >= 0) & (ijk < self._shape), axis=1)
         return np.flatnonzero(inside), np.ravel_multi_index(
@@ -95,10 +102,10 @@ class Window:
         )
 
     def box(self, points: MaterialPoints) -> None:
-        """Find nodes that points may reach until they are given to ranks again: see `MARGIN`."""
+        """Find the nodes that points may reach before they change rank, see `MARGIN`."""
         basis = self.basis
         if self._exchange is not None:
-            # sums of other ranks too must be cleared, and the work at every node counted
+            # sums of other ranks must be cleared, too, and the work at every node counted
             return
         if not len(points):
             self._first[:], self._last[:] = 0, 0
@@ -113,31 +120,31 @@ class Window:
             self._last[k] = min(max(i[1] + basis.degree + 1 + MARGIN, 0), self._shape[k])
 
     def rows(self) -> tuple[int, ...]:
-        """Nodes in use: first and last row, first and last node of each, and length of a row."""
+        """Nodes in use: first and last row, first and last node in a row, and length of a row."""
         row, across = int(self._shape[-1]), 1 if len(self._shape) == 2 else int(self._shape[1])
         rows = int(self._first[0]) * across, int(self._last[0]) * across
         return *rows, int(self._first[-1]), int(self._last[-1]), row
 
     def add_up(self, begin: int = 0, end: int | None = None) -> None:
-        """Add up columns of the sums over ranks, for all that know the nodes. Collective."""
+        """Add up columns of the sums over ranks; all ranks of a node get the sums. Collective."""
         if self._exchange is not None:
             self._exchange.add_up(self.out, begin, end)
 
-    def taken(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Values of the basis's nodes, shape (n, ...), at those of the window, else zeros."""
+    def from_basis(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values at the window's nodes, from values at the basis's nodes; zeros elsewhere."""
         found = np.zeros((len(self.nodes), *values.shape[1:]), values.dtype)
         found[self._at] = values[self._known]
         return found
 
     def at_points(self, values: Array, points: MaterialPoints) -> Array:
-        """Values at the window's nodes, shape (nodes, d), at the points where they are."""
+        """Interpolate values at the window's nodes, shape (nodes, d), at the points."""
         known = np.zeros((self.basis.nodes.size, values.shape[1]))
         known[self._known] = values[self._at]
         return collect(self.basis.stencils(points.placement()), known)
 
 
 class WindowMeans:
-    """WindowMeans of volume changes over cells, at the window's places of these. Collective.
+    """Means of volume changes over cells, stored by position in the window. Collective.
 
     Args:
         window: The window.
@@ -153,21 +160,22 @@ class WindowMeans:
         self._exchange = Exchange(own, known, at, 2) if own.comm.size > 1 else None
 
     def take(self, rows: tuple[int, ...]) -> None:
-        """WindowMeans from sums over the points of this rank, in their place. Collective."""
+        """Replace this rank's sums over points by means. Collective."""
         if self._exchange is not None:
             self._exchange.add_up(self.sums)
         take_means(rows, self.sums)
 
 
 class Prescribed:
-    """Velocities of the nodes of a window that conditions prescribe.
+    """Prescribed velocities of the nodes of a window.
 
     Args:
         held: Essential conditions.
 
     Attributes:
-        fixed: Which components are, shape (nodes, d).
-        before, after: Their velocities at the start and the end of a step (m/s).
+        fixed: Mask of the prescribed components, shape (nodes, d).
+        before, after: Prescribed velocities at the start and at the end of a step (m/s), shape
+            (nodes, d).
     """
 
     fixed: npt.NDArray[np.bool_]
@@ -178,20 +186,20 @@ class Prescribed:
     _window: Window | None
     _rate: float
 
-    def __init__(self, held: Held):
+    def __init__(self, held: EssentialConditions):
         self._held, self._window = held, None
-        # flags and values as they were last taken
+        # last mask, values and rate
         self._known: tuple[Any, ...] = (None, None, math.nan)
-        # velocities prescribed in time, as nodes have them now
+        # present values of velocities prescribed as functions of time
         self._driven: Sequence[float] | None = None
 
     @property
     def driven(self) -> bool:
-        """Whether some are functions of time."""
+        """Whether some prescribed velocities are functions of time."""
         return self._driven is not None
 
     def start(self, window: Window, rate: float) -> None:
-        """Take them as increments tell now. Collective.
+        """Set velocities by the present prescribed increments. Collective.
 
         Args:
             window: The window.
@@ -206,17 +214,17 @@ class Prescribed:
         window, (known, old, rate) = self._window, self._known
         assert window is not None
         (fixed,), (values,) = self._held.at([window.basis], 1.0)
-        # flags, and values that never change, are the same arrays as long as they are the same
+        # the mask, and values that never change, keep their arrays while they are valid
         if fixed is not known:
-            self.fixed = window.taken(fixed)
+            self.fixed = window.from_basis(fixed)
         same = values is old and (rate == self._rate or not self._held.changing)
         if not same:
-            self._values = self._rate * window.taken(values)
+            self._values = self._rate * window.from_basis(values)
         self.before = self.after = self._values
         self._known = fixed, values, self._rate
 
     def drive(self, t: float, dt: float) -> None:
-        """Take those prescribed in time for a step from t on. Collective."""
+        """Set velocities that are functions of time, for a step from t to t + dt. Collective."""
         conditions = self._held.conditions
         driven = [c.velocity for c in conditions if c.velocity is not None]
         if not driven:
@@ -235,14 +243,14 @@ class Prescribed:
 
 
 class Exchange:
-    """Sums over ranks of what stands at a window's nodes. Collective.
+    """Exchange of sums at a window's nodes between ranks. Collective.
 
-    Only what ranks have in common is handed over: the rest of a window is as large as its rank.
+    Ranks exchange only the sums at nodes that they share.
 
     Args:
         nodes: Numbering of the nodes.
-        known, at: Those that the window has, and where.
-        width: Columns of the sums.
+        known, at: The nodes in the window, and their numbers in the window.
+        width: Number of columns of the sums.
     """
 
     def __init__(self, nodes: Numbering, known: Places, at: Places, width: int):
@@ -256,7 +264,7 @@ class Exchange:
         self._vector = nodes.vector(width)
 
     def add_up(self, sums: Array, begin: int = 0, end: int | None = None) -> None:
-        """Add up columns, for all that know the nodes. Collective."""
+        """Add up columns over ranks; all ranks of a node get the sums. Collective."""
         values = self._vector.array.reshape(-1, sums.shape[1])
         values[self._all] = 0.0
         values[self._rows, begin:end] = sums[self._at, begin:end]

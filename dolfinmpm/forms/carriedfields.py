@@ -12,7 +12,7 @@ import ufl
 from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_displacement, check_points
@@ -97,6 +97,19 @@ def acceleration(points: MaterialPoints, u: Any) -> Expr:
 
     Raises:
         ParameterError: u is no increment of a displacement of these points.
+
+    The inertial force of the body, as `Newmark` has it:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> import ufl
+    >>> a = mpm.acceleration(points, V.increment)
+    >>> inertia = points.density * ufl.inner(a, V.test) * points.dX
+    >>> a.ufl_shape
+    (2,)
     """
     check_points(points)
     check_displacement(points, u=u)
@@ -123,6 +136,20 @@ def carried(
         ParameterError: The name is no identifier, or is the name of a field that steps set; the
             expression is no UFL expression, or contains a test or trial function; or the unit is
             no string.
+
+    A pressure that grows by 5 Pa per second:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> Q = mpm.Space(grid, "gimp", shape=())
+    >>> p, q = Q.increment, Q.test
+    >>> rate = (p - mpm.carried(points, "pressure", p, unit="Pa")) / points.dt
+    >>> problem = mpm.Transient((rate - 5.0) * q * points.dX, p, points)
+    >>> record = problem.step(2.0)
+    >>> points["pressure"][0].round(6).item()
+    10.0
     """
     check_points(points)
     if not isinstance(name, str) or not name.isidentifier():

@@ -21,13 +21,14 @@ from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.body.tags import tags_in_use
 
 __all__ = [
     "Declaration",
+    "ElasticResponse",
     "LawConstant",
     "LawField",
     "check_separate",
@@ -43,6 +44,23 @@ def rows_within(points: MaterialPoints, tags: Tags) -> npt.NDArray[np.int32]:
     if tags is None:
         return np.arange(len(points), dtype=np.int32)
     return np.flatnonzero(np.isin(points["tag"], tags)).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class ElasticResponse:
+    """Elastic response of a law at the points of its declaration.
+
+    Attributes:
+        energy: Function that returns the elastic energy per initial volume (J/m³), shape (n,), or
+            None.
+        stiffness: Function that returns the largest stiffness along one axis (Pa), shape (n,).
+        moduli: Function that returns the P-wave modulus and the shear modulus (Pa), shape (n, 2)
+            or (1, 2).
+    """
+
+    energy: Callable[[], npt.NDArray[np.float64] | None]
+    stiffness: Callable[[], npt.NDArray[np.float64]]
+    moduli: Callable[[], npt.NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +84,7 @@ class Declaration:
             It may be called again. Raises on all ranks together. Collective.
         parameters: Function that returns the parameters after binding, shape (1, parameters), or
             (points on this rank, parameters) if a parameter varies.
-        energy: Function that returns the elastic energy per initial volume at its points (J/m³),
-            or None.
-        stiffness: Function that returns the largest stiffness along one axis at its points (Pa).
-        moduli: Function that returns the elastic P-wave modulus and shear modulus at its points
-            (Pa), shape (n, 2) or (1, 2).
+        elastic: Elastic response at its points.
         weaken: Function that divides the law's strength at its points by a factor, until it is
             called with None. None for laws without strength. Collective.
         terms: Integrands of the momentum terms that were made from the declaration.
@@ -88,9 +102,7 @@ class Declaration:
     mark: int
     bind: Callable[[], None]
     parameters: Callable[[], npt.NDArray[np.float64]]
-    energy: Callable[[], npt.NDArray[np.float64] | None]
-    stiffness: Callable[[], npt.NDArray[np.float64]]
-    moduli: Callable[[], npt.NDArray[np.float64]]
+    elastic: ElasticResponse
     weaken: Callable[[float | None], None] | None = None
     terms: list[Expr] = field(default_factory=list)
 
@@ -98,6 +110,10 @@ class Declaration:
     def rows(self) -> npt.NDArray[np.int32]:
         """Numbers of its points on this rank, shape (n,)."""
         return rows_within(self.points, self.tags)
+
+    def energy(self) -> npt.NDArray[np.float64] | None:
+        """Elastic energy per initial volume at its points (J/m³), or None if not known."""
+        return self.elastic.energy()
 
     def largest(self, name: str) -> float:
         """Largest value of a parameter over its points on all ranks. Collective.

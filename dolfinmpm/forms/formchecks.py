@@ -12,12 +12,12 @@ from ufl.algorithms import expand_derivatives, extract_arguments, extract_coeffi
 from ufl.classes import Division, Product, ScalarValue
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.compat import restrict
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.acting import MARK
 from dolfinmpm.body.fields import PointField
+from dolfinmpm.body.formsigns import MARK
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.operators import PointOperator
 
@@ -115,7 +115,7 @@ def _not_a_form(form: Any) -> str:
 def check_signs(form: ufl.Form) -> None:
     """Refuse loads, penalties and conditions that are subtracted.
 
-    The metadata of such terms contain their original integrand, see `dolfinmpm.body.acting`. A
+    The metadata of such terms contain their original integrand, see `dolfinmpm.body.formsigns`. A
     sign in the form is then a factor of this integrand. Rewritten terms, for example by
     `ufl.replace`, are not checked.
 

@@ -11,7 +11,7 @@ from ufl.classes import Coefficient, Zero
 from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.acting import unmarked
+from dolfinmpm.body.formsigns import unmarked
 from dolfinmpm.forms.termqueries import depends_on, summands
 
 __all__ = ["GridTerms"]

@@ -11,7 +11,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.acting import FACETS
+from dolfinmpm.body.formsigns import FACETS
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.operators import PointOperator
 from dolfinmpm.forms.termqueries import brief

@@ -20,14 +20,14 @@ from ufl.constantvalue import zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
+from dolfinmpm.forms.placeholders import Placeholders
 from dolfinmpm.forms.pointwise import Program, compile_program
-from dolfinmpm.forms.slots import Slots
 from dolfinmpm.forms.termqueries import brief, depends_on, operators_in, summands, tags_of
 
 __all__ = ["PointTerms", "TangentBlock", "component", "derive"]
@@ -38,11 +38,11 @@ class TangentBlock:
     """Compiled derivative of one field's flux (row) by one field's increment (column).
 
     Attributes:
-        program: Program that writes a matrix per point: one row per slot of the row field, one
-            column per slot of the column field. Slots of a component are its value, then its
-            gradient.
-        row_value, value: Whether the row field and the column field have slots for values; if
-            not, only gradients have slots.
+        program: Program that writes a matrix per point: one row per placeholder of the row field,
+            one column per placeholder of the column field. Placeholders of a component are its
+            value, then its gradient.
+        row_value, value: Whether the row field and the column field have placeholders for values;
+            if not, only gradients have placeholders.
     """
 
     program: Program
@@ -69,7 +69,7 @@ class PointTerms:
         mixed: Whether a term or a law may be for only some of the tags.
 
     Attributes:
-        slots: Operators, functions and constants in the terms.
+        placeholders: Operators, functions and constants in the terms.
     """
 
     def __init__(
@@ -83,14 +83,14 @@ class PointTerms:
         mixed: bool = False,
     ):
         self._tags, self._but, self._mixed = tags, but, mixed
-        self.slots = slots = Slots(spaces, points)
+        self.placeholders = placeholders = Placeholders(spaces, points)
         increments = [space.increment for space in spaces]
         self._parts: dict[bool, list[Expr]] = {False: [], True: []}
         for integral in integrals:
-            volume: Expr = slots.slot(("field", integral.metadata()["volume"]), ())
+            volume: Expr = placeholders.placeholder(("field", integral.metadata()["volume"]), ())
             where = tags_of(integral)
             if where is not None and (tags is None or mixed):
-                volume = volume * slots.slot(("tagged", where), ())
+                volume = volume * placeholders.placeholder(("tagged", where), ())
             for term in summands(integral.integrand()):
                 arguments = {a for a in ufl.algorithms.extract_arguments(term) if a.number() == 0}
                 if len(arguments) != 1:
@@ -101,14 +101,16 @@ class PointTerms:
                 strange = [o for o in operators_in(term) if not self._has(o.tags)]
                 own = ufl.replace(term, {o: zero(o.ufl_shape) for o in strange})
                 if not isinstance(own, Zero):
-                    self._parts[depends_on(own, increments)].append(volume * slots.map(own))
+                    self._parts[depends_on(own, increments)].append(volume * placeholders.map(own))
         for declaration in declarations:
             # a law's fields are written even if the form contains only its derivative
             if declaration.operator is not None and self._has(declaration.tags):
-                slots.map(declaration.operator)
+                placeholders.map(declaration.operator)
         self._fluxes = {varies: self._flux(terms) for varies, terms in self._parts.items()}
-        self._operands = [slots.map(expand_derivatives(o.operand)) for o in slots.operators]
-        for k, operator in enumerate(slots.operators):
+        self._operands = [
+            placeholders.map(expand_derivatives(o.operand)) for o in placeholders.operators
+        ]
+        for k, operator in enumerate(placeholders.operators):
             if isinstance(operator.law, AveragingLaw) and self.field_of(k) is None:
                 raise FormError(
                     f"'{operator}' averages over cells and takes the gradient of one increment, "
@@ -156,7 +158,7 @@ class PointTerms:
     @property
     def operators(self) -> list[PointOperator]:
         """Operators (laws) in the integrands."""
-        return self.slots.operators
+        return self.placeholders.operators
 
     @functools.cached_property
     def averages(self) -> bool:
@@ -183,12 +185,17 @@ class PointTerms:
         """For every field, derivatives by the test function's value and by its gradient."""
         if not terms:
             return []
-        slots, total = self.slots, sum(terms[1:], start=terms[0])
+        placeholders, total = self.placeholders, sum(terms[1:], start=terms[0])
         fluxes = [
-            [derive(total, slots.test_value[k]), derive(total, slots.test_gradient[k])]
-            for k in range(len(slots.spaces))
+            [
+                derive(total, placeholders.test_value[k]),
+                derive(total, placeholders.test_gradient[k]),
+            ]
+            for k in range(len(placeholders.spaces))
         ]
-        tests = {c for pair in zip(slots.test_value, slots.test_gradient) for c in pair}
+        tests = {
+            c for pair in zip(placeholders.test_value, placeholders.test_gradient) for c in pair
+        }
         for flux in (f for pair in fluxes for f in pair):
             if any(node in tests for node in unique_pre_traversal(flux)):
                 raise FormError(
@@ -200,16 +207,18 @@ class PointTerms:
     @functools.cached_property
     def external(self) -> Program | None:
         """Flux that does not depend on the increments, or None. The first use is collective."""
-        return _flux_program(self._fluxes[False], self.slots) if self._fluxes[False] else None
+        return (
+            _flux_program(self._fluxes[False], self.placeholders) if self._fluxes[False] else None
+        )
 
     @functools.cached_property
     def internal(self) -> Program | None:
         """Flux that depends on the increments, or None. The first use is collective."""
-        return _flux_program(self._fluxes[True], self.slots) if self._fluxes[True] else None
+        return _flux_program(self._fluxes[True], self.placeholders) if self._fluxes[True] else None
 
     def _direct(self, k: int) -> int | None:
         """The field whose gradient is the operand of the k-th operator, or None."""
-        direct = [f for f, g in enumerate(self.slots.gradient) if self._operands[k] is g]
+        direct = [f for f, g in enumerate(self.placeholders.gradient) if self._operands[k] is g]
         return direct[0] if direct else None
 
     def field_of(self, k: int) -> int | None:
@@ -218,7 +227,7 @@ class PointTerms:
         if direct is not None:
             return direct
         nodes = set(unique_pre_traversal(self._operands[k]))
-        both = zip(self.slots.value, self.slots.gradient)
+        both = zip(self.placeholders.value, self.placeholders.gradient)
         found = [f for f, variables in enumerate(both) if nodes & set(variables)]
         return found[0] if len(found) == 1 else None
 
@@ -232,7 +241,9 @@ class PointTerms:
                 made.append(("gradient", field))
                 continue
             parts = [component(expression, i) for i in np.ndindex(*expression.ufl_shape)]
-            made.append(compile_program(self.slots.points.grid, parts, self.slots.sources))
+            made.append(
+                compile_program(self.placeholders.points.grid, parts, self.placeholders.sources)
+            )
         return made
 
     @property
@@ -258,7 +269,7 @@ class PointTerms:
         collective.
         """
         return {
-            k: _flux_program(self._by_mean(k), self.slots)
+            k: _flux_program(self._by_mean(k), self.placeholders)
             for k, operator in enumerate(self.operators)
             if isinstance(operator.law, AveragingLaw) and self._fluxes[True]
         }
@@ -268,8 +279,8 @@ class PointTerms:
         """Derivatives of averaged scalars by value and gradient of the field, by operator.
 
         Only for operators whose law averages over cells and whose operand is not just a gradient.
-        The slot ("mean slope", k) is the derivative of the averaged scalar by the operand. The
-        results have the shape of the field's flux. The first use is collective.
+        The placeholder ("mean slope", k) is the derivative of the averaged scalar by the operand.
+        The results have the shape of the field's flux. The first use is collective.
         """
         return {
             k: self._mean_flux(k)
@@ -278,21 +289,24 @@ class PointTerms:
         }
 
     def _mean_flux(self, k: int) -> Program:
-        slots, operand, field = self.slots, self._operands[k], self.field_of(k)
+        placeholders, operand, field = self.placeholders, self._operands[k], self.field_of(k)
         assert field is not None
-        slope = slots.slot(("mean slope", k), operand.ufl_shape)
+        slope = placeholders.placeholder(("mean slope", k), operand.ufl_shape)
         total = ufl.inner(slope, operand)
-        flux = [derive(total, slots.value[field]), derive(total, slots.gradient[field])]
-        return _flux_program([flux], slots, [field])
+        flux = [
+            derive(total, placeholders.value[field]),
+            derive(total, placeholders.gradient[field]),
+        ]
+        return _flux_program([flux], placeholders, [field])
 
     def _by_mean(self, k: int) -> list[list[Expr]]:
-        slots = self.slots
-        shape = slots.operators[k].ufl_shape
-        slope = slots.slot(("operator by mean", k), shape)
+        placeholders = self.placeholders
+        shape = placeholders.operators[k].ufl_shape
+        slope = placeholders.placeholder(("operator by mean", k), shape)
 
         def through(flux: Expr) -> Expr:
             i, o = ufl.indices(len(flux.ufl_shape)), ufl.indices(len(shape))
-            by_operator = derive(flux, slots.operator_value[k])
+            by_operator = derive(flux, placeholders.operator_value[k])
             if isinstance(by_operator, Zero):
                 return Zero(flux.ufl_shape)
             term = by_operator[(*i, *o)] * slope[o] if o else by_operator * slope
@@ -302,15 +316,15 @@ class PointTerms:
 
     def _through(self, flux: Expr, variable: Expr) -> Expr:
         """Derivative of a flux by an increment's value or gradient, with the tangents of laws."""
-        slots = self.slots
+        placeholders = self.placeholders
         total = derive(flux, variable)
-        for k, operator in enumerate(slots.operators):
-            by_operator = derive(flux, slots.operator_value[k])
+        for k, operator in enumerate(placeholders.operators):
+            by_operator = derive(flux, placeholders.operator_value[k])
             by_variable = derive(self._operands[k], variable)
             if isinstance(by_operator, Zero) or isinstance(by_variable, Zero):
                 continue
             shape, inner = operator.ufl_shape, self._operands[k].ufl_shape
-            slope = slots.slot(("operator tangent", k), (*shape, *inner))
+            slope = placeholders.placeholder(("operator tangent", k), (*shape, *inner))
             i = ufl.indices(len(flux.ufl_shape))
             o = ufl.indices(len(shape))
             q = ufl.indices(len(inner))
@@ -322,15 +336,15 @@ class PointTerms:
         return apply_algebra_lowering(total)
 
     def _block(self, row: int, column: int) -> TangentBlock | None:
-        slots, fluxes = self.slots, self._fluxes[True][row]
-        variables = slots.value[column], slots.gradient[column]
+        placeholders, fluxes = self.placeholders, self._fluxes[True][row]
+        variables = placeholders.value[column], placeholders.gradient[column]
         parts = [[self._through(flux, variable) for variable in variables] for flux in fluxes]
         empty = [[isinstance(part, Zero) for part in both] for both in parts]
         if all(e for both in empty for e in both):
             return None
         row_value = not all(empty[0])
         value = not (empty[0][0] and empty[1][0])
-        gdim = slots.points.gdim
+        gdim = placeholders.points.gdim
 
         def places(space: Space, with_value: bool):
             for i in np.ndindex(*space.increment.ufl_shape):
@@ -341,25 +355,27 @@ class PointTerms:
 
         components = [
             component(parts[s][r], (*i, *j))
-            for s, i in places(slots.spaces[row], row_value)
-            for r, j in places(slots.spaces[column], value)
+            for s, i in places(placeholders.spaces[row], row_value)
+            for r, j in places(placeholders.spaces[column], value)
         ]
-        program = compile_program(slots.points.grid, components, slots.sources)
+        program = compile_program(placeholders.points.grid, components, placeholders.sources)
         return TangentBlock(program, row_value, value)
 
 
-def _flux_program(fluxes, slots: Slots, fields: Sequence[int] | None = None) -> Program:
+def _flux_program(
+    fluxes, placeholders: Placeholders, fields: Sequence[int] | None = None
+) -> Program:
     components = []
-    spaces = slots.spaces if fields is None else [slots.spaces[f] for f in fields]
+    spaces = placeholders.spaces if fields is None else [placeholders.spaces[f] for f in fields]
     for (value, gradient), space in zip(fluxes, spaces):
         for i in np.ndindex(*space.increment.ufl_shape):
             components.append(component(value, i))
-            components += [component(gradient, (*i, j)) for j in range(slots.points.gdim)]
-    return compile_program(slots.points.grid, components, slots.sources)
+            components += [component(gradient, (*i, j)) for j in range(placeholders.points.gdim)]
+    return compile_program(placeholders.points.grid, components, placeholders.sources)
 
 
 def derive(expression: Expr, variable: Expr) -> Expr:
-    """Derivative of an expression of slots by one slot."""
+    """Derivative of an expression of placeholders by one placeholder."""
     return apply_derivatives(apply_algebra_lowering(ufl.diff(expression, variable)))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import ufl
 from ufl.algorithms import expand_derivatives, extract_coefficients
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary
@@ -17,11 +17,11 @@ from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.integrals import by_measure, check_derivatives
+from dolfinmpm.forms.lawderivatives import differentiate_through_laws
 from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
-from dolfinmpm.forms.tagged import Tagged, tags_by_term
+from dolfinmpm.forms.tagchecks import TagChecks, tags_by_term
 from dolfinmpm.forms.termqueries import brief, operators_in, tags_of, term_of
-from dolfinmpm.forms.throughlaws import through_laws
 
 __all__ = ["BoundaryTerms", "SplitForm", "split"]
 
@@ -75,7 +75,7 @@ class SplitForm:
     carried: list[PointField]
     boundaries: list[BoundaryTerms]
     terms: list[Any]
-    tagged: Tagged
+    tagged: TagChecks
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -114,7 +114,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     for term in terms:
         term.bind(declarations)
     as_given = [i for i in form.integrals() if (i.metadata() or {}).get("points") == points.number]
-    form = expand_derivatives(through_laws(form))
+    form = expand_derivatives(differentiate_through_laws(form))
     at_points, at_markers, ordinary = by_measure(form, spaces, points, of_markers)
     _check_tags(ordinary)
     others = [(repr(term), term.tags) for term in terms if not term.sides]
@@ -122,7 +122,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         name = f"a term over {boundary!r}"
         others += [(name, tags) for _, tags in tags_by_term(at_markers[number])]
     alone = all(i.subdomain_id() == GHOST_FACETS for i in ordinary)
-    tagged = Tagged(points, as_given, others, declarations, spaces, alone)
+    tagged = TagChecks(points, as_given, others, declarations, spaces, alone)
     return SplitForm(
         _regions(at_points, spaces, points, declarations),
         GridTerms(ordinary, spaces),

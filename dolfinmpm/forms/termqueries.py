@@ -10,7 +10,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.classes import Sum
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, as_tags, check_kind
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.operators import PointOperator
 
@@ -64,6 +64,20 @@ def stiffness_per_area(form: ufl.Form) -> list[tuple[str, npt.NDArray[np.float64
 
     Raises:
         ParameterError: It is no form, or no problem has been made of the form.
+
+    Ten times E/h:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> plate = mpm.RigidBody(mpm.Plane((0, 2), (0, -1)), increment=(0.0, -0.01), name="plate")
+    >>> F += mpm.contact(plate, points, V.increment, V.test, penalty=10.0)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    >>> [(name, kappa.max().item()) for name, kappa in mpm.stiffness_per_area(F)]
+    [("the contact with 'plate'", 10000000.0)]
     """
     check_kind("form", form, ufl.Form, "give the weak form F that the problem is made of")
     marks = [integral.metadata() or {} for integral in form.integrals()]

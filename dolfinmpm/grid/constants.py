@@ -14,7 +14,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["begin_at_zero", "is_own", "own_constant", "reached", "take_reached"]

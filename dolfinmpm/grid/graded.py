@@ -15,12 +15,12 @@ import numpy.typing as npt
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, shown, whole
+from dolfinmpm._platform.argumentchecks import check_kind, number, shown, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm._platform.together import together
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
 
-__all__ = ["create_lattice", "lay_lines", "times_regridded", "zoned_line"]
+__all__ = ["create_lattice", "set_lines", "times_regridded", "zoned_line"]
 
 Array = npt.NDArray[np.float64]
 
@@ -50,6 +50,10 @@ def zoned_line(
     Raises:
         ParameterError: The zone is not within the grid; a side has cells without room, or room
             without cells; or neighbouring cells would differ by more than 3 times.
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.zoned_line(0, 5, zone=(1, 2), cells=(2, 4, 4)).round(2).tolist()
+    [0.0, 0.61, 1.0, 1.25, 1.5, 1.75, 2.0, 2.37, 2.93, 3.76, 5.0]
     """
     number("low", low, unit="m"), number("high", high, unit="m")
     for what, given, n in (("zone", zone, 2), ("cells", cells, 3)):
@@ -98,7 +102,7 @@ def _graded(length: float, cells: int, h: float) -> Array:
     return np.cumsum(sizes) * (length / sizes.sum())
 
 
-@together
+@collective
 def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.Mesh:
     """A rectangular grid with given lines. Collective.
 
@@ -108,6 +112,14 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
 
     Raises:
         ParameterError: The lines are not two or three arrays of increasing coordinates.
+
+    Cells of 1 m, and finer cells near the bottom:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), (0.0, 0.25, 0.5, 1.0, 2.0)])
+    >>> grid.topology.index_map(2).size_global
+    16
     """
     check_kind("comm", comm, MPI.Comm, "give MPI.COMM_WORLD, and then the lines")
     made = _lines(lines)
@@ -124,7 +136,7 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
     return grid
 
 
-def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
+def set_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
     """Move the lines of a rectangular grid. Collective.
 
     `regrid` also tells the problems on the grid.
@@ -164,13 +176,13 @@ def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
         sizes = values.x.array if isinstance(values, fem.Function) else float(values.value)
         found.x.array[:] = sizes
         kept[key] = found
-    grid.__dict__["_dolfinmpm_laid"] = times_regridded(grid) + 1
+    grid.__dict__["_dolfinmpm_regridded"] = times_regridded(grid) + 1
     assert lattice_of(grid) is not None
 
 
 def times_regridded(grid: Any) -> int:
     """How often the lines of a grid have moved."""
-    return int(grid.__dict__.get("_dolfinmpm_laid", 0))
+    return int(grid.__dict__.get("_dolfinmpm_regridded", 0))
 
 
 def _lines(lines: Any) -> list[Array]:

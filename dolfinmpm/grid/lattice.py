@@ -14,11 +14,11 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind
+from dolfinmpm._platform.argumentchecks import check_kind
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
-from dolfinmpm._platform.together import together
 from dolfinmpm.grid.constants import own_constant
 
 __all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of"]
@@ -197,7 +197,7 @@ def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
 
 
 @once_per_grid
-@together
+@collective
 def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     """Size of the cells, for UFL. Collective.
 
@@ -207,6 +207,12 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     Returns:
         A Constant (m) where all cells have the same size; otherwise a piecewise
         constant function, which needs `ufl.avg` in a facet term.
+
+    >>> import dolfinmpm as mpm
+    >>> from dolfinx.mesh import create_unit_square
+    >>> from mpi4py import MPI
+    >>> float(mpm.cell_size(create_unit_square(MPI.COMM_WORLD, 4, 4)).value)
+    0.25
     """
     gdim = grid.topology.dim
     simplex = grid.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
@@ -219,7 +225,7 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
 
 
 @once_per_grid
-@together
+@collective
 def coarse_cell_size(grid: Mesh, by: int) -> fem.Constant | fem.Function:
     """Size of the cells of `Lattice.coarsened` (m), like `cell_size`. Collective."""
     size = cell_size(grid)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import choice, file_path, number, shown
+from dolfinmpm._platform.argumentchecks import choice, file_path, number, shown
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["LOOK", "check_picture", "check_size", "figure", "save", "two_numbers"]
@@ -69,6 +69,15 @@ def figure(
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
         OSError: The file cannot be written; on rank 0 only.
+
+    >>> import dolfinmpm as mpm
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> file = Path(mkdtemp(), "error.png")
+    >>> with mpm.figure(file, dpi=50) as (fig, ax):
+    ...     line = ax.loglog([0.1, 0.2], [0.01, 0.04])
+    >>> file.exists()
+    True
     """
     import matplotlib
     from matplotlib.figure import Figure

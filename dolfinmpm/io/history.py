@@ -9,10 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_together
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.html import table
 from dolfinmpm.body.probes import Probe
+from dolfinmpm.io.figures import figure
 from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.tables import check_suffix, write_table
 
@@ -34,6 +36,13 @@ class History:
 
     Attributes:
         names: Names of the numbers, in the order of the first record.
+
+    >>> import dolfinmpm as mpm
+    >>> curve = mpm.History()
+    >>> for share in mpm.steps(2):
+    ...     curve.record(share=share, load=-1e4 * share)
+    >>> curve["load"].tolist()
+    [-5000.0, -10000.0]
     """
 
     def __init__(self, comm: MPI.Comm = MPI.COMM_WORLD):
@@ -80,7 +89,7 @@ class History:
             raise UnknownNameError(f"nothing is recorded as '{name}'; there are {known}")
         return np.array([row[name] for row in self._rows])
 
-    @together(of=lambda history, *_, **__: history._comm)
+    @collective(comm_of=lambda history, *_, **__: history._comm)
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a table as .csv or .json; see `study.write_table`. Collective.
 
@@ -101,6 +110,52 @@ class History:
         call_together(self._comm, check)
         take_paths(self, [at])
         write_table(self._rows, path, comm=self._comm)
+
+    def plot(
+        self,
+        path: str | os.PathLike[str],
+        x: str,
+        *y: str,
+        labels: dict[str, str] | None = None,
+        size: tuple[float, float] = (3.5, 2.6),
+    ) -> None:
+        """Draw recorded numbers over one of them. Rank 0 writes the picture.
+
+        Args:
+            path: Picture to write; its ending selects the format (.png, .pdf, ...).
+            x: Name of the number along the horizontal axis.
+            y: Names of the numbers to draw; all others by default.
+            labels: Name → text beside the axes and in the legend, with its unit.
+            size: Width and height (inch).
+
+        Raises:
+            UnknownNameError: Nothing is recorded under a name.
+            ParameterError: There is nothing to draw, or an argument has the wrong type.
+            OSError: The file cannot be written; on rank 0 only.
+
+        >>> import tempfile
+        >>> curve = History()
+        >>> for t in (0.0, 1.0, 2.0):
+        ...     curve.record(t=t, load=t**2)
+        >>> curve.plot(f"{tempfile.mkdtemp()}/load.png", "t", "load", labels={"t": "time (s)"})
+        """
+        texts = {**{name: name.replace("_", " ") for name in self.names}, **(labels or {})}
+        drawn = y or tuple(name for name in self.names if name != x)
+        if not drawn:
+            raise ParameterError(f"there is nothing to draw over {x!r}; record another number")
+        columns = self[x], [self[name] for name in drawn]
+        with figure(path, *size) as (_, axes):
+            for name, values in zip(drawn, columns[1]):
+                axes.plot(columns[0], values, label=texts[name])
+            axes.set_xlabel(texts[x])
+            if len(drawn) == 1:
+                axes.set_ylabel(texts[drawn[0]])
+            else:
+                axes.legend()
+
+    def _repr_html_(self) -> str:
+        """The last records as a table, for notebooks."""
+        return table(self._rows[-8:], f"{len(self)} records")
 
 
 def _with_components(values: dict[str, Any]) -> dict[str, Any]:

@@ -13,15 +13,16 @@ import numpy.typing as npt
 from dolfinx import fem, plot
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import file_path, number, shown, truth
+from dolfinmpm._platform.argumentchecks import file_path, number, shown, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.rigid import RigidBody, check_bodies
+from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.io.ownership import refuse_other, take_paths
+from dolfinmpm.io.paraviewrecipe import recipe_text
 from dolfinmpm.io.vtkfiles import (
     Arrays,
     index_text,
@@ -43,6 +44,11 @@ class ParaView:
     the folder `output/column/`. Both series are complete after every write, so that ParaView opens
     the files of an interrupted run. Parent folders are created. Files of an earlier run are
     replaced. Collective: all ranks must create the writer.
+
+    `output/column_paraview.py` is a program for ParaView. It shows the last time: the points as
+    boxes 2 l wide with the colours of the first field, the grid as lines, the bodies.
+    `pvpython column_paraview.py last.png` draws it, and `paraview --script=column_paraview.py`
+    opens it.
 
     The points carry the following fields, where d is the dimension of space. Two components are
     padded to three, and 2 × 2 tensors to nine (with F_zz = 1 and the rest 0).
@@ -81,9 +87,23 @@ class ParaView:
         ParameterError: The path does not end in ".pvd", the points have no field of
             a given name, an increment cannot be written, or an argument has the wrong type.
         OSError: The folder or the file cannot be written.
+
+    Each call of `write` adds a time:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> folder = Path(mkdtemp())
+    >>> series = mpm.ParaView(folder / "block.pvd", points, fields=["displacement", "stress"])
+    >>> series.write(0.0)
+    >>> sorted(path.name for path in folder.iterdir())
+    ['block', 'block.pvd', 'block_grid.pvd', 'block_paraview.py']
     """
 
-    @together
+    @collective
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -110,6 +130,7 @@ class ParaView:
         call_together(self.comm, self._check_arguments)
         self._mesh = call_together(self.comm, lambda: _GridMesh(points.grid, self._increments))
         self._on_root(self._write_series)
+        self._on_root(self._write_recipe)
         take_paths(self, self._paths)
 
     def __enter__(self) -> ParaView:
@@ -119,7 +140,7 @@ class ParaView:
     def __exit__(self, *exception: object) -> None:
         """Do nothing: the files are complete after every write."""
 
-    @together
+    @collective
     @stages.output
     def write(self, time: float) -> None:
         """Write the present state of the points and of the grid. Collective.
@@ -255,6 +276,24 @@ class ParaView:
         for path, (times, stem, kind) in zip(self._paths, series):
             files = (f"{folder}/{stem}_{number:06d}.{kind}" for number in range(len(times)))
             replace_file(path, series_text(times, files))
+
+    def _write_recipe(self) -> None:
+        """Write the program that opens the series in ParaView, if the points have a field."""
+        arrays, units = self._point_data()
+        names = [name for name in arrays if name != "id"] or list(arrays)
+        if not names:
+            return
+        size, d = arrays[names[0]].shape[1], self.points.gdim
+        text = recipe_text(
+            self._folder.name,
+            names[0],
+            units[names[0]],
+            {1: "", 9: 2 * "xyz"[d - 1]}.get(size, "Magnitude"),
+            d < 3,
+            boxes="l" in arrays,
+            bodies=bool(self._bodies),
+        )
+        replace_file(self.path.with_name(f"{self._folder.name}_paraview.py"), text)
 
     def _on_root(self, action, *arguments) -> None:
         def act() -> None:

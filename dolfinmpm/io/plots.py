@@ -11,18 +11,26 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_kind, choice, number, shown, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.rigid import RigidBody, check_bodies
+from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.io.figures import check_picture, check_size, two_numbers
 from dolfinmpm.io.scene import Scene
 
-__all__ = ["plot"]
+__all__ = [
+    "check_colour",
+    "extent_of",
+    "grid_lines",
+    "label_of",
+    "plot",
+    "prefix_of",
+    "scalar_of",
+]
 
 Array = npt.NDArray[Any]
 _AXES = "xyz"
@@ -32,7 +40,7 @@ _SYMBOLS = {"stress": r"\sigma", "displacement": "u"}
 _MOST_CELLS = 200_000
 
 
-@together
+@collective
 def plot(
     points: MaterialPoints,
     path: str | os.PathLike[str],
@@ -84,6 +92,17 @@ def plot(
     Raises:
         ParameterError: An argument has the wrong type or value, or no point is in view.
         OSError: The file cannot be written.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> file = Path(mkdtemp(), "points.png")
+    >>> mpm.plot(points, file, "displacement", size=(2, 2), dpi=50)
+    >>> file.stat().st_size > 1000
+    True
     """
     check_kind("points", points, MaterialPoints, "plot(points, path)")
     if draw is None:
@@ -93,7 +112,7 @@ def plot(
     derived = colour == "displacement" and colour not in points.fields
 
     def check() -> None:
-        _check_scene(points, colour, component, cut, view, derived)
+        check_colour(points, colour, component, cut, view, derived)
         if limits is not None and not np.less(*two_numbers("limits", limits)):
             raise ParameterError(
                 f"limits = {shown(limits)} must rise, from the lowest to the highest"
@@ -105,8 +124,8 @@ def plot(
             check_picture(path, cmap)
 
     call_together(points.comm, check)
-    extent = _extent(points.grid)
-    lines = _grid_lines(points.grid, cut) if grid and points.gdim > 1 else None
+    extent = extent_of(points.grid)
+    lines = grid_lines(points.grid, cut) if grid and points.gdim > 1 else None
     gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
 
     def draw_on_root() -> None:
@@ -115,19 +134,20 @@ def plot(
         x, F, half, half0, values = gathered
         F = in_section(points, F)
         unit = "m" if derived else getattr(getattr(points, colour, None), "unit", "")
-        scalars, symbol = _scalar(x - values if derived else values, component, points.gdim)
+        scalars, symbol = scalar_of(x - values if derived else values, component, points.gdim)
         missing = np.flatnonzero(~np.isfinite(scalars))
         if missing.size and limits is None:
             raise ParameterError(
                 f"'{colour}' is {scalars[missing[0]]} at {missing.size} of {len(x)} points, as at "
                 f"{x[missing[0]]} m; give limits to leave such points blank"
             )
-        scale, prefix = _prefix(scalars, limits) if unit == "Pa" else (1.0, "")
+        scale, prefix = prefix_of(scalars, limits) if unit == "Pa" else (1.0, "")
         unit = prefix + unit.replace("^d", f"^{points.strain_dim}")
         # columns are the half-edges of the points' domains
         edges = half[:, None] * np.eye(points.gdim) if draw == "domains" else F * half0[:, None]
         scene = Scene(
-            x, edges, scalars / scale, label or _label(colour, symbol, unit), draw == "dots", lines,
+            x, edges, scalars / scale, label or label_of(colour, symbol, unit),
+            draw == "dots", lines,
             None if limits is None else np.divide(limits, scale), max_aspect, cmap, size,
             [body.outline(extent[:, 0], extent[:, 1]) for body in bodies],
         )  # fmt: skip
@@ -136,7 +156,7 @@ def plot(
     call_together(points.comm, draw_on_root)
 
 
-def _check_scene(points, colour, component, cut, view, derived) -> None:
+def check_colour(points, colour, component, cut, view, derived) -> None:
     """Raise ParameterError if the points lack a field, component or direction of `plot`."""
     known = [*points.fields, "displacement"]
     if colour not in known:
@@ -173,7 +193,7 @@ def _is_index(i: Any, n: int) -> bool:
     return isinstance(i, (int, np.integer)) and not isinstance(i, bool) and bool(0 <= i < n)
 
 
-def _scalar(values: Array, component, gdim: int) -> tuple[Array, str]:
+def scalar_of(values: Array, component, gdim: int) -> tuple[Array, str]:
     """The number to colour by, shape (n,), and its printed index."""
     if values.ndim == 1:
         return values.astype(float), ""
@@ -192,7 +212,8 @@ def _scalar(values: Array, component, gdim: int) -> tuple[Array, str]:
     return values[(slice(None), *index)], "".join(names[i] for i in index)
 
 
-def _label(name: str, index: str, unit: str) -> str:
+def label_of(name: str, index: str, unit: str) -> str:
+    """Text beside the colour bar."""
     unit = re.sub(r"\^(\d+)", r"$^{\1}$", unit)
     name = name.replace("_", " ")
     if index in ("mean", "Mises", "magnitude"):
@@ -205,7 +226,7 @@ def _label(name: str, index: str, unit: str) -> str:
     return f"{symbol.strip()} ({unit})" if unit else symbol.strip()
 
 
-def _prefix(values: Array, limits) -> tuple[float, str]:
+def prefix_of(values: Array, limits) -> tuple[float, str]:
     """The power of 1000 that makes pressures short to print."""
     largest = np.abs(values if limits is None else limits).max(initial=0.0)
     for scale, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
@@ -214,7 +235,7 @@ def _prefix(values: Array, limits) -> tuple[float, str]:
     return 1.0, ""
 
 
-def _extent(grid) -> Array:
+def extent_of(grid) -> Array:
     """Lowest and highest coordinates of the grid (m), shape (gdim, 2). Collective."""
     x = grid.geometry.x[:, : grid.geometry.dim]
     low = grid.comm.allgather(x.min(axis=0, initial=math.inf))
@@ -222,7 +243,7 @@ def _extent(grid) -> Array:
     return np.column_stack([np.min(low, axis=0), np.max(high, axis=0)])
 
 
-def _grid_lines(grid, cut) -> Array | None:
+def grid_lines(grid, cut) -> Array | None:
     """Ends of the grid's lines (m) in a plane, shape (lines, 2, 2), on rank 0. Collective."""
     lattice, dim = lattice_of(grid), grid.geometry.dim
     if lattice is not None and (dim == 2 or cut is not None):

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import whole
+from dolfinmpm._platform.argumentchecks import whole
 
 __all__ = ["progress", "progress_to", "steps"]
 
@@ -33,6 +33,10 @@ def steps(number: int, *, label: str = "") -> Iterator[float]:
 
     Raises:
         ParameterError: The number is not a whole number of at least 1.
+
+    >>> import dolfinmpm as mpm
+    >>> list(mpm.steps(4))
+    [0.25, 0.5, 0.75, 1.0]
     """
     count = whole("number of steps", number, 1)
     # checked here, because a generator would check only at the first step

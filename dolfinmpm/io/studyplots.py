@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.tables import Row, rows_of
 
@@ -51,6 +51,14 @@ def draw_sweep(
         x: Name of the figure on the horizontal axis, or a function of a row.
         keys: Names of the figures, or name → words in the legend.
         style: Further arguments of Matplotlib's `plot`.
+
+    >>> import dolfinmpm as mpm
+    >>> from tempfile import mkdtemp
+    >>> rows = mpm.study.sweep(lambda offset: {"kappa_K": 1 / offset}, [0.25, 0.5])
+    >>> with mpm.figure(f"{mkdtemp()}/sweep.png", dpi=50) as (fig, ax):
+    ...     mpm.study.draw_sweep(ax, rows, keys=["kappa_K"])
+    >>> ax.get_yscale()
+    'log'
     """
     _check_axes(axes)
     if not isinstance(keys, (str, Mapping, list, tuple)):
@@ -94,6 +102,14 @@ def draw_convergence(
         orders: Slopes of the fan; none if empty.
         nested: True draws open markers of decreasing size, so that coinciding curves stay
             visible.
+
+    >>> import dolfinmpm as mpm
+    >>> from tempfile import mkdtemp
+    >>> rows = mpm.study.convergence(lambda h: 3 * h**2, [0.4, 0.2, 0.1])
+    >>> with mpm.figure(f"{mkdtemp()}/error.png", dpi=50) as (fig, ax):
+    ...     mpm.study.draw_convergence(ax, {"ours": rows})
+    >>> ax.get_xscale(), len(ax.lines)
+    ('log', 3)
     """
     from matplotlib.ticker import NullLocator
 
@@ -138,6 +154,15 @@ def draw_reduction(axes: Any, rows: Sequence[Row], *, scale: float | None = None
         axes: Matplotlib's axes; the vertical axis becomes logarithmic.
         rows: The table of `factor_of_safety`.
         scale: Reference displacement (m), such as γH²/E. Displacements are divided by it.
+
+    >>> import dolfinmpm as mpm
+    >>> from tempfile import mkdtemp
+    >>> stands = {"factor": 1.0, "stands": True, "displacement": 0.01}
+    >>> fails = {"factor": 2.0, "stands": False, "displacement": 0.05}
+    >>> with mpm.figure(f"{mkdtemp()}/factor.png", dpi=50) as (fig, ax):
+    ...     mpm.study.draw_reduction(ax, [stands, fails])
+    >>> ax.get_xlabel()
+    'strength divided by'
     """
     _check_axes(axes)
     unit = 1.0 if scale is None else number("scale", scale, 0.0, unit="m")

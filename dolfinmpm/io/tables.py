@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 
 __all__ = [
     "check_suffix",
@@ -27,7 +27,7 @@ Row = Mapping[str, Any]
 PathLike = str | os.PathLike[str]
 
 
-@together(own=("rows",))
+@collective(local=("rows",))
 def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
     """Write rows as CSV or as JSON; rank 0 writes them. Collective.
 
@@ -42,6 +42,16 @@ def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COM
     Raises:
         ParameterError: The path has another ending, or a row is not a dictionary.
         OSError: The file cannot be written; on all ranks.
+
+    >>> import dolfinmpm as mpm
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> file = Path(mkdtemp(), "table.csv")
+    >>> mpm.study.write_table([{"h": 0.5, "error": 0.1}, {"h": 0.25, "error": None}], file)
+    >>> print(file.read_text().strip())
+    h,error
+    0.5,0.1
+    0.25,
     """
     check_kind("comm", comm, MPI.Comm, "MPI.COMM_WORLD by default")
     path, rows = file_path("path", path), call_together(comm, lambda: rows_of(rows))
@@ -63,7 +73,7 @@ def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COM
     call_together(comm, write if comm.rank == 0 else _nothing)
 
 
-@together
+@collective
 def read_table(path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[str, Any]]:
     """Read what `write_table` wrote; rank 0 reads, all ranks get the rows. Collective.
 
@@ -76,6 +86,13 @@ def read_table(path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[
     Raises:
         ParameterError: The path has another ending, or there is no table in the file.
         OSError: The file cannot be read; on all ranks.
+
+    >>> import dolfinmpm as mpm
+    >>> from tempfile import mkdtemp
+    >>> file = f"{mkdtemp()}/table.json"
+    >>> mpm.study.write_table([{"place": [0.1, 0.2], "error": 0.5}], file)
+    >>> mpm.study.read_table(file)
+    [{'place': [0.1, 0.2], 'error': 0.5}]
     """
     path = file_path("path", path)
     check_kind("comm", comm, MPI.Comm, "MPI.COMM_WORLD by default")

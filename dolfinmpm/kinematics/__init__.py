@@ -4,30 +4,30 @@ All strain formulations pass principal elastic strains to the same laws. They di
 the update of the elastic strain by an increment, and the stress measure of the law.
 """
 
-from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.kinematics.deposits import Deposit, Layer
-from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.initial import geostatic_stress
+from dolfinmpm.kinematics.initialstress import geostatic_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.large import LargeStrain
-from dolfinmpm.kinematics.lawterms import framework, momentum, set_stress, stress
+from dolfinmpm.kinematics.largestrain import LargeStrain
+from dolfinmpm.kinematics.lawterms import momentum, set_stress, strain_formulation, stress
 from dolfinmpm.kinematics.nitsche import dirichlet
-from dolfinmpm.kinematics.small import SmallStrain
+from dolfinmpm.kinematics.smallstrain import SmallStrain
+from dolfinmpm.kinematics.strainformulation import StrainFormulation
 from dolfinmpm.kinematics.walls import signorini
 
 __all__ = [
     "Deposit",
-    "Framework",
     "Jaumann",
     "LargeStrain",
     "Layer",
     "SmallStrain",
+    "StrainFormulation",
     "dirichlet",
-    "framework",
     "geostatic_stress",
     "momentum",
     "set_stress",
     "signorini",
+    "strain_formulation",
     "stress",
     "update_domains",
 ]

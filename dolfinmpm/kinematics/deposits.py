@@ -23,12 +23,12 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import call_function
 from dolfinmpm.materials.sands import Sand
 
 __all__ = ["Deposit", "Layer"]
@@ -59,6 +59,14 @@ class Layer:
 
     Raises:
         ParameterError: A number is out of range.
+
+    Loose sand above dense sand:
+
+    >>> import dolfinmpm as mpm
+    >>> loose, dense = mpm.materials.sand(0.3), mpm.materials.sand(0.8)
+    >>> layers = [mpm.Layer.of(loose, bottom=6.0), mpm.Layer.of(dense)]
+    >>> [layer.unit_weight for layer in layers]
+    [16200.0, 18200.0]
     """
 
     bottom: Height
@@ -122,6 +130,16 @@ class Deposit:
     Raises:
         ParameterError: An entry of `layers` is no `Layer`; a layer has its bottom above the bottom
             of the layer before; a layer is lighter than water; or a height is no number.
+
+    Total and effective stress 6 m below the surface, 4 m below the water table:
+
+    >>> import dolfinmpm as mpm
+    >>> import numpy as np
+    >>> sand = mpm.Layer(bottom=0.0, unit_weight=17e3, K0=0.5, saturated_unit_weight=20e3)
+    >>> ground = mpm.Deposit(surface=10.0, layers=[sand], water_table=8.0)
+    >>> x = np.array([[0.0], [4.0]])
+    >>> ground.vertical_stress(x).tolist(), ground.pore_pressure(x).tolist()
+    ([-74760.0], [39240.0])
     """
 
     def __init__(
@@ -258,7 +276,7 @@ class Deposit:
 
     # -- terms at the points ------------------------------------------------------
 
-    @together
+    @collective
     def body_force(self, points: MaterialPoints) -> Expr:
         """Body force per initial volume in balance with the effective stress (N/m³). Collective.
 
@@ -279,7 +297,7 @@ class Deposit:
 
     def _height(self, what: str, height: Height, x: Array) -> Array:
         if callable(height):
-            values = ask(what, height, x.T)
+            values = call_function(what, height, x.T)
             bad = np.flatnonzero(~np.isfinite(values))
             if bad.size:
                 raise ParameterError(

@@ -4,7 +4,7 @@ De Souza Neto, Perić, Dutko & Owen (1996, doi 10.1016/0020-7683(95)00259-6) rep
 change at every integration point by one value per element. Coombs, Charlton, Cortis & Augarde
 (2018, doi 10.1016/j.cma.2018.01.010) take the volume-weighted mean over the material points in a
 cell; for GIMP, over the shares of the points' domains in the cell. For splines, the mean is taken
-over splines of one degree less, see `dolfinmpm.cut.cellmeans`.
+over splines of one degree less, see `dolfinmpm.cut.cellaverages`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from dolfinmpm.basis.cells import invert
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.operators import KeepingLaw, KeptTangents, if_kept
 
-__all__ = ["FBar", "StrainFramework"]
+__all__ = ["FBar", "GradientLaw"]
 
 Array = npt.NDArray[np.float64]
 
 
-class StrainFramework(Protocol):
+class GradientLaw(Protocol):
     """A `PointwiseLaw` of the increment's gradient H that F-bar can wrap.
 
     It can be a `KeepingLaw` too.
@@ -153,17 +153,17 @@ def _true_gradient(H, measure, mean, history, d, multiplicative, S, A, by_mean):
             S[p, a] *= factor
 
 
-def _refuse_dilation(framework: StrainFramework, rows: npt.NDArray[np.int32], comm) -> None:
+def _refuse_dilation(formulation: GradientLaw, rows: npt.NDArray[np.int32], comm) -> None:
     """Raise ParameterError if the law has a dilation angle that is not 0. Collective."""
-    names = list(getattr(framework.law, "parameters", ()))
+    names = list(getattr(formulation.law, "parameters", ()))
     name = next((name for name in names if name.startswith("dilation")), None)
     if name is None:
         return
-    angle = framework.parameters(rows)[:, names.index(name)]  # type: ignore[attr-defined]
+    angle = formulation.parameters(rows)[:, names.index(name)]  # type: ignore[attr-defined]
     error = None
     if angle.max(initial=0.0) > 0.0:
         error = ParameterError(
-            f"fbar = True: {type(framework.law).__name__} has {name} = {angle.max():g} degrees, "
+            f"fbar = True: {type(formulation.law).__name__} has {name} = {angle.max():g} degrees, "
             "only 0 is possible. F-bar shares the volume change of a cell, but not the shear that "
             "dilates: pressures in the cell drift apart, and the load falls or no equilibrium "
             f'is left. Take basis="bspline2" and finer cells without fbar, or {name} = 0'
@@ -171,14 +171,14 @@ def _refuse_dilation(framework: StrainFramework, rows: npt.NDArray[np.int32], co
     raise_together(comm, error)
 
 
-def _warn_of_compaction(framework: StrainFramework, points: MaterialPoints, degree: int) -> None:
+def _warn_of_compaction(formulation: GradientLaw, points: MaterialPoints, degree: int) -> None:
     """Warn of cubic splines with a law of plastic compaction. Collective."""
-    if degree > 2 and "compression" in getattr(framework.law, "parameters", ()):
+    if degree > 2 and "compression" in getattr(formulation.law, "parameters", ()):
         warn(
             points.comm,
             f"fbar = True with splines of degree {degree}: the mean hides volume changes that "
             "alternate from cell to cell. Ground that compacts plastically, as with "
-            f"{type(framework.law).__name__}, then has no stiffness against these changes, and "
+            f"{type(formulation.law).__name__}, then has no stiffness against these changes, and "
             'steps fail soon after it yields. Take basis="bspline2", or fbar=False',
             SoftVolumeWarning,
         )
@@ -188,7 +188,7 @@ class FBar:
     """F-bar around a strain formulation, as an operator of the increment's gradient H.
 
     Let ΔF = I + H and ΔJ = det ΔF. ΔJ̄ is the mean of ΔJ over the cells of the point, or over
-    splines of one degree less (see `CellMeans`), with the volumes at the start of the step as
+    splines of one degree less (see `CellAverages`), with the volumes at the start of the step as
     weights. The strain formulation gets ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), with the dimension d (2 in
     plane strain, else 3), and returns the flux S̄ = τ ΔF̄⁻ᵀ. F-bar returns the flux
     S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ, which is integrated over the true volume with true spatial
@@ -224,7 +224,7 @@ class FBar:
     fail, but would lock.
 
     Args:
-        framework: The strain formulation with its law, which gives the stress.
+        formulation: The strain formulation with its law, which gives the stress.
         points: Material points.
         degree: Degree of the basis of the increment.
         by_centres: Whether a point counts only in the cell of its centre, and gets the mean of
@@ -234,17 +234,17 @@ class FBar:
 
     def __init__(
         self,
-        framework: StrainFramework,
+        formulation: GradientLaw,
         points: MaterialPoints,
         degree: int = 1,
         by_centres: bool = False,
     ):
         self.by_centres = by_centres
-        self.framework = framework
+        self.formulation = formulation
         self.points = points
         self._degree = degree
         self._bound = False
-        self._multiplicative = framework.multiplicative
+        self._multiplicative = formulation.multiplicative
         self._measure: Array = np.empty(0)
         self._mean: Array = np.empty(0)
 
@@ -259,10 +259,10 @@ class FBar:
         Warns:
             SoftVolumeWarning: Cubic splines meet a law of plastic compaction.
         """
-        rows = getattr(self.framework, "rows", np.empty(0, np.int32))
-        _refuse_dilation(self.framework, rows, self.points.comm)
+        rows = getattr(self.formulation, "rows", np.empty(0, np.int32))
+        _refuse_dilation(self.formulation, rows, self.points.comm)
         if not self._bound:
-            _warn_of_compaction(self.framework, self.points, self._degree)
+            _warn_of_compaction(self.formulation, self.points, self._degree)
         self._bound = True
         if self._multiplicative and "J_bar" not in self.points.fields:
             self.points.add_field("J_bar", (), "", 1.0)
@@ -271,22 +271,22 @@ class FBar:
     @property
     def law(self) -> Any:
         """The constitutive law."""
-        return self.framework.law
+        return self.formulation.law
 
     @property
     def keeps(self) -> int:
         """How many numbers the strain formulation keeps per point; see `KeepingLaw`."""
-        return self.framework.keeps if isinstance(self.framework, KeepingLaw) else 0
+        return self.formulation.keeps if isinstance(self.formulation, KeepingLaw) else 0
 
     def describe(self, operand: Array, row: int) -> str:
-        """Description of a point without a stress, for messages; see `Framework.describe`."""
+        """Text for a point without a stress; see `StrainFormulation.describe`."""
         changed = np.empty((1, operand.size))
         one, d = slice(row, row + 1), self.points.strain_dim
         flat = np.ascontiguousarray(operand, float).reshape(1, -1)
         bad = _replace_volume(
             flat, self._measure[one], self._mean[one], d, self._multiplicative, changed
         )
-        return self.framework.describe((flat if bad >= 0 else changed).reshape(d, d), row)
+        return self.formulation.describe((flat if bad >= 0 else changed).reshape(d, d), row)
 
     def _measured(self, operand: Array) -> Array:
         out = np.empty(len(operand))
@@ -325,7 +325,7 @@ class FBar:
         changed = np.empty_like(operand)
         bad = _replace_volume(operand, measure, mean, d, kind, changed)
         if bad < 0:
-            bad = self.framework.evaluate(changed, value, tangent, rows, **if_kept(kept))
+            bad = self.formulation.evaluate(changed, value, tangent, rows, **if_kept(kept))
         if bad >= 0:
             return bad
         history = self._history(rows) if kind else np.empty(0)
@@ -345,7 +345,7 @@ class FBar:
             operand, self._measure[rows], self._mean[rows], points.strain_dim, self._multiplicative,
             changed,
         )  # fmt: skip
-        new = self.framework.commit(changed, rows, **if_kept(kept))
+        new = self.formulation.commit(changed, rows, **if_kept(kept))
         if self._multiplicative:
             # the strain formulation divided τ by det ΔF̄ times the true det F before the step
             new["stress"] *= self._history(rows)[:, None, None]

@@ -9,18 +9,19 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.axisymmetry import gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import (
     Declaration,
+    ElasticResponse,
     LawConstant,
     LawField,
     rows_within,
 )
 from dolfinmpm.forms.pointwise import compile_here
 from dolfinmpm.kinematics.parameters import PointParameters
-from dolfinmpm.kinematics.strainmarks import ENERGY, MARKS, check_history, refuse_stress
+from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS, check_history, refuse_stress
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -67,9 +68,11 @@ def declare_energy(law: Any, points: MaterialPoints, u, tags: Tags) -> Declarati
         operator=None, updates={"stress": law.cauchy_stress(end_of_step(points, u), **given)},
         mark=MARKS[ENERGY], bind=bind,
         parameters=lambda: parameters.at(rows_within(points, tags)),
-        energy=lambda: _energy_at(law, points, parameters, tags),
-        stiffness=lambda: _stiffness_at(points, parameters, tags),
-        moduli=lambda: _moduli_at(points, parameters, tags),
+        elastic=ElasticResponse(
+            lambda: _energy_at(law, points, parameters, tags),
+            lambda: _stiffness_at(points, parameters, tags),
+            lambda: _moduli_at(points, parameters, tags),
+        ),
     )  # fmt: skip
     for holder in holders:
         holder.declaration = declaration

@@ -5,13 +5,13 @@ from __future__ import annotations
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.measures import StrainMeasure
+from dolfinmpm.kinematics.strainformulation import StrainFormulation
+from dolfinmpm.kinematics.strainfunctions import StrainFunctions
 
 __all__ = ["Jaumann"]
 
 
-class _Jaumann(StrainMeasure):
+class _Jaumann(StrainFunctions):
     logarithmic = False
 
     def rate(self, H: Expr) -> Expr:
@@ -32,7 +32,7 @@ class _Jaumann(StrainMeasure):
         return [ufl.det(one + H), ufl.det(one + 0.5 * H)]
 
 
-class Jaumann(Framework):
+class Jaumann(StrainFormulation):
     """A law with Jaumann's rate: the old elastic strain rotates, and the increment is added.
 
     ε = R ε_e,n Rᵀ + sym G with R = (1 − W/2)⁻¹ (1 + W/2), W = skew G and G = ∇ũ (1 + ∇ũ/2)⁻¹.
@@ -50,11 +50,11 @@ class Jaumann(Framework):
     shear, stress and work remain, and they grow from cycle to cycle. Below some 10 % of strain
     these errors are small. For larger strains and for many cycles, take `strain="large"`.
 
-    The state is the field `elastic_strain`; see `Framework`.
+    The state is the field `elastic_strain`; see `StrainFormulation`.
     """
 
-    measure = "jaumann"
+    strain = "jaumann"
     multiplicative = False
     state = "elastic_strain"
     rest = (0.0,) * 6
-    kinematics = _Jaumann
+    functions = _Jaumann

@@ -12,43 +12,43 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, choice, shown, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
-from dolfinmpm.forms.declarations import Declaration, subdomain
+from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
-from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
-from dolfinmpm.kinematics.initial import StressField, take_stress, write_stress
+from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.large import LargeStrain
-from dolfinmpm.kinematics.small import SmallStrain
-from dolfinmpm.kinematics.strainmarks import MARKS, check_history
+from dolfinmpm.kinematics.largestrain import LargeStrain
+from dolfinmpm.kinematics.smallstrain import SmallStrain
+from dolfinmpm.kinematics.strainformulation import StrainFormulation
+from dolfinmpm.kinematics.strainhistory import MARKS, check_history
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
-__all__ = ["flux", "framework", "momentum", "set_stress", "stress"]
+__all__ = ["flux", "momentum", "set_stress", "strain_formulation", "stress"]
 
 CENTRES = "centres"
 
-_FRAMEWORKS: dict[str, type[Framework]] = {
+_FORMULATIONS: dict[str, type[StrainFormulation]] = {
     "large": LargeStrain,
     "small": SmallStrain,
     "jaumann": Jaumann,
 }
 
 
-def framework(
+def strain_formulation(
     law: Law | NeoHookean,
     points: MaterialPoints,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
-) -> Framework:
+) -> StrainFormulation:
     """A law at the points with a strain formulation. Only its method `bind` changes the points.
 
     Args:
@@ -61,20 +61,20 @@ def framework(
         ParameterError: The strain formulation is not known, or the law has no kernel.
     """
     check_points(points)
-    strain = choice("strain", strain, _FRAMEWORKS)
+    strain = choice("strain", strain, _FORMULATIONS)
     if not isinstance(law, Law) or not law.has_kernel:
         raise ParameterError(
             f"law = {shown(law)} has no kernel of principal strains; use a law such as "
             "mpm.materials.Hencky(E, nu)"
         )
-    return _FRAMEWORKS[strain](law, points, as_tags(tag))
+    return _FORMULATIONS[strain](law, points, as_tags(tag))
 
 
 def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag) -> int:
     """Number of the law's declaration; the same arguments share one declaration."""
     check_points(points)
     check_displacement(points, u=u)
-    strain = choice("strain", strain, _FRAMEWORKS)
+    strain = choice("strain", strain, _FORMULATIONS)
     tags, fbar = as_tags(tag), _means(fbar, u)
     if tags is None:
         # a field with tags has no strain at other points
@@ -127,7 +127,7 @@ def _means(fbar: Any, u) -> bool | str:
 
 
 def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -> Declaration:
-    inner = framework(law, points, strain, tags)
+    inner = strain_formulation(law, points, strain, tags)
     outer: PointwiseLaw = inner
     if fbar:
         outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES)
@@ -144,8 +144,8 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     declaration = Declaration(
         points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
         operator=operator, updates={}, mark=MARKS[strain], bind=bind,
-        parameters=lambda: inner.parameters(inner.rows), energy=inner.energy,
-        stiffness=inner.stiffness, moduli=inner.moduli,
+        parameters=lambda: inner.parameters(inner.rows),
+        elastic=ElasticResponse(inner.energy, inner.stiffness, inner.moduli),
         weaken=None if law.strengths == () else inner.weaken,
     )  # fmt: skip
     operator.declaration = declaration
@@ -203,6 +203,22 @@ def momentum(
         ParameterError: The strain formulation is not known or not possible for the law; a tag is
             no whole number; fbar is given with a law that is an energy; or law, points, u or v is
             of another kind.
+
+    Two soils by tags:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> lower = mpm.fill(grid, mpm.Box((0, 0), (4, 1)), 2, density=2000.0, tag=1)
+    >>> points = lower + mpm.fill(grid, mpm.Box((0, 1), (4, 2)), 2, density=1800.0, tag=2)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(5e6, 0.2), points, V.increment, V.test, tag=1)
+    >>> F += mpm.momentum(mpm.materials.NeoHookean(1e6, 0.4), points, V.increment, V.test, tag=2)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    >>> for line in str(problem).splitlines()[2:4]:
+    ...     print(line)
+    law: Hencky(E=5e+06, nu=0.2), large strain, tags 1
+    law: NeoHookean(E=1e+06, nu=0.4), large strain, tags 2
     """
     number = _declare(law, points, u, strain, fbar, tag)
     check_displacement(points, v=v)
@@ -246,6 +262,21 @@ def stress(
 
     Raises:
         ParameterError: See `momentum`; or fbar is given with strain="jaumann".
+
+    Internal forces of the linear theory, written out:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 4)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> import ufl
+    >>> sigma = mpm.stress(mpm.materials.Hencky(1e6, 0.0), points, V.increment, strain="small")
+    >>> F = ufl.inner(sigma, ufl.grad(V.test)) * points.dX
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.04)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    >>> points["stress"][0, 1, 1].round(3).item()
+    -10000.0
     """
     number = _declare(law, points, u, strain, fbar, tag)
     declaration = points.declarations[number]
@@ -295,7 +326,7 @@ def flux(
     return in_section(points, S), declaration
 
 
-@together(own=("stress",))
+@collective(local=("stress",))
 def set_stress(
     law: Law | NeoHookean,
     points: MaterialPoints,
@@ -329,8 +360,19 @@ def set_stress(
             has the tag.
         StateError: A stress lies outside the yield surface, or no elastic strain gives it. The
             message has the point, its stress and its parameters. No point is changed.
+
+    Ground at rest; the vertical stress is 20 kN/m³ times the depth of a point:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> law = mpm.materials.Hencky(E=1e6, nu=0.3)
+    >>> mpm.set_stress(law, points, mpm.geostatic_stress(surface=2.0, weight=2e4, K0=0.5))
+    >>> points["x"][0].tolist(), points["stress"][0].diagonal().round(6).tolist()
+    ([0.25, 0.25], [-17500.0, -35000.0, -17500.0])
     """
-    one = framework(law, points, strain, tag)
+    one = strain_formulation(law, points, strain, tag)
     check_in_use("tag", points, one.tags)
     one.bind()
     write_stress(one, stress)

@@ -32,17 +32,17 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, choice, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
+from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.kinematics.coverage import in_front, look_ahead
 from dolfinmpm.kinematics.lawterms import flux
+from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -118,7 +118,7 @@ class WeakCondition:
         markers = self.boundary.markers
         if self.moduli is not None:
             assert self.declaration is not None
-            markers[self.moduli][self.declaration.rows] = self.declaration.moduli()
+            markers[self.moduli][self.declaration.rows] = self.declaration.elastic.moduli()
         if self.on is not None:
             on = in_front(self.boundary, rows)[0]
             markers[self.on] = on.astype(float)
@@ -129,7 +129,7 @@ class WeakCondition:
         elif self.penalty is not None:
             assert self.declaration is not None
             rows = self.declaration.rows
-            moduli = self.declaration.moduli()[:, 0]
+            moduli = self.declaration.elastic.moduli()[:, 0]
             markers[self.stiffness][rows] = self.penalty * moduli / largest_cell(markers.grid)
 
     def gaps(self) -> npt.NDArray[np.float64]:
@@ -177,6 +177,20 @@ def dirichlet(
     Raises:
         ParameterError: An argument is not valid; beta and stiffness are both given; or the law is
             missing.
+
+    The left face lies within cells, and moves by one centimetre:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0.3, 0), (3.3, 2)), per_cell=2, density=2000.0)
+    >>> V, law = mpm.Space(grid, "gimp"), mpm.materials.Hencky(1e6, 0.3)
+    >>> F = mpm.momentum(law, points, V.increment, V.test)
+    >>> left = mpm.Boundary.from_polygon(points, [(0.3, 2), (0.3, 0)], closed=False)
+    >>> F += mpm.dirichlet(left, V.increment, V.test, (0.01, 0.0), law=law)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost").step()
+    >>> (points["x"] - points["x0"])[-1, 0].round(6).item()
+    0.01
     """
     check_kind("boundary", boundary, Boundary, "make it with mpm.Boundary.from_polygon(...)")
     markers, d = boundary.markers, boundary.points.gdim
@@ -229,7 +243,7 @@ def dirichlet(
     mark = {**boundary.ds.metadata(), "condition": condition}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)
-    return acting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
+    return signed_form(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
 
 
 def _checked(penalty: Any, stiffness_per_area: Any, usual: float | None) -> float | None:

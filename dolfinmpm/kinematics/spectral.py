@@ -6,8 +6,8 @@ axes n_a ⊗ n_a it is the law's tangent, between two axes it is the secant of t
 Non-Linear Elastic Deformations, §6.1.4; de Souza Neto, Perić & Owen 2008, Computational Methods
 for Plasticity, appendix A). The steps before and after the law are functions that FFCx has
 compiled: from the increment to the trial tensor, and from the law's stress to the flux; see
-`dolfinmpm.kinematics.measures`. The loop calls these functions by their addresses, so that the
-data of a point stay in the cache.
+`dolfinmpm.kinematics.strainfunctions`. The loop calls these functions by their addresses, so
+that the data of a point stay in the cache.
 
 Symmetric tensors are stored as rows of numbers: xx, yy, zz, xy, yz, xz in fields of points. Trial
 tensors and stresses have only the components within the dimensions of the points. Directions out of
@@ -93,7 +93,7 @@ def stress_kernel(d: int):
 
     - law, parameters: address of the law's kernel; its parameters, shape (1, parameters) or
       (n, parameters).
-    - programs: addresses of the compiled functions, see `StrainMeasure.programs`.
+    - programs: addresses of the compiled functions, see `StrainFunctions.programs`.
     - checks: how many numbers of the first program must be positive.
     - logarithmic: True if ε = ½ ln b for the trial tensor b. False if the trial tensor is ε.
     - H: the increment's gradient at n points, shape (n, d²).

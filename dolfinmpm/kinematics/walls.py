@@ -26,19 +26,19 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, number
+from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
+from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.markerstate import keys_of, nearest
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.kinematics.coverage import in_front, look_ahead
 from dolfinmpm.kinematics.lawterms import flux
+from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -104,8 +104,8 @@ class Wall:
         if self.fixed is not None:
             k[:] = self.fixed
         elif self.declaration is not None:
-            of_law = self.declaration.rows
-            k[of_law] = self.penalty * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
+            M = self.declaration.elastic.moduli()[:, 0]
+            k[self.declaration.rows] = self.penalty * M / largest_cell(markers.grid)
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
@@ -139,7 +139,7 @@ class Wall:
             to[rows[near]] = source[of[near]]
 
 
-@together
+@collective
 def signorini(
     boundary: Boundary,
     u: fem.Function,
@@ -174,6 +174,21 @@ def signorini(
     Raises:
         ParameterError: An argument is not valid; the boundary moves with a body; or law and
             stiffness are both missing.
+
+    A body is pushed to the right, against a wall:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> wall = mpm.Boundary.from_side(points, "right")
+    >>> F += mpm.signorini(wall, V.increment, V.test, law=mpm.materials.Hencky(1e6, 0.3))
+    >>> push = mpm.prescribed(V, "left", 0, increment=0.01) + mpm.rollers(V, "bottom")
+    >>> record = mpm.QuasiStatic(F, V.increment, points, push).step()
+    >>> round(float(wall.force()[0]), -2)
+    -5500.0
     """
     check_kind(
         "boundary", boundary, Boundary, 'make it with mpm.Boundary.from_side(points, "left")'
@@ -228,4 +243,4 @@ def signorini(
     mark = {**boundary.ds.metadata(), "condition": wall}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)
-    return acting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")
+    return signed_form(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")

@@ -10,7 +10,7 @@ from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.materials.parametrised import Parameter
 from dolfinmpm.materials.sands import Sand, sand
 from dolfinmpm.materials.tresca import Tresca
-from dolfinmpm.materials.ufl_energy import EnergyWithYield
+from dolfinmpm.materials.uflenergy import EnergyWithYield
 from dolfinmpm.materials.vonmises import VonMises
 
 __all__ = [

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, shown
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.materials.lawkernel import Kernel, respond_at_points
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
@@ -57,6 +57,11 @@ class Law(Parametrised):
 
     An elastic law has no strengths and no friction angles: both are empty. None means that the
     strength of the law is unknown. See `Parametrised` for the values of parameters.
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.Hencky(E=1e6, nu=0.3)
+    >>> isinstance(law, mpm.materials.Law), list(law.parameters), law.strengths
+    (True, ['E', 'nu'], ())
     """
 
     symmetric: bool = False

@@ -255,6 +255,16 @@ class CamClay(Law):
 
     Raises:
         ParameterError: A parameter is outside its range or contradicts another.
+
+    In virgin compression the preconsolidation pressure is the pressure:
+
+    >>> import dolfinmpm as mpm
+    >>> start = {"reference_pressure": 50e3, "preconsolidation": 50e3}
+    >>> slopes = {"swelling": 0.02, "compression": 0.1, "M": 1.2}
+    >>> law = mpm.materials.CamClay(**slopes, mu0=1e6, alpha=0.0, **start)
+    >>> end = law.respond([[-0.01, -0.01, -0.01]])
+    >>> end.stress[0].round().tolist(), end.internal.round().tolist()
+    ([-67493.0, -67493.0, -67493.0], [[67493.0]])
     """
 
     parameters = {

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import choice
+from dolfinmpm._platform.argumentchecks import choice
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.angles import warn_of_radians
 from dolfinmpm.materials.base import ELASTIC, Law
@@ -153,6 +153,14 @@ class DruckerPrager(Law):
     Raises:
         ParameterError: A parameter is outside its range, dilation is larger than friction,
             or the fit is unknown.
+
+    The same strength as `MohrCoulomb` in triaxial compression:
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.DruckerPrager(E=2e6, nu=0.25, cohesion=0.0, friction_angle=30.0)
+    >>> s = law.respond([[0.0, 0.0, -9e-3]]).stress[0]
+    >>> round(float(s[2] / s[0]), 6)
+    3.0
     """
 
     parameters = ELASTIC | {

@@ -11,9 +11,9 @@ import numba
 from numba import types
 from numba.extending import intrinsic
 
-from dolfinmpm._platform.checks import check_function, shown
+from dolfinmpm._platform.argumentchecks import check_function, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.discarded import DISCARDED
+from dolfinmpm.materials.discardarray import DISCARDED
 
 __all__ = ["KERNEL_SIGNATURE", "Kernel", "call_law", "law_kernel", "respond_at_points"]
 
@@ -78,6 +78,20 @@ def law_kernel(function: Callable) -> Kernel:
 
     Raises:
         ParameterError: The argument is not a function of six pointers.
+
+    A law without shear stiffness, τ_i = K tr ε. The function can be tried before it is compiled:
+
+    >>> import dolfinmpm as mpm
+    >>> def water(parameters, strain, old, new, stress, tangent):
+    ...     for i in range(3):
+    ...         stress[i] = parameters[0] * (strain[0] + strain[1] + strain[2])
+    ...         for j in range(3):
+    ...             tangent[3 * i + j] = parameters[0]
+    ...     return 0
+    >>> kernel = mpm.materials.law_kernel(water)
+    >>> stress, tangent = [0.0] * 3, [0.0] * 9
+    >>> water([2e9], [1e-6, 0.0, 0.0], [], [], stress, tangent), stress
+    (0, [2000.0, 2000.0, 2000.0])
     """
     check_function("function", function, "of six arrays, kernel(parameters, strain, ...)")
     try:

@@ -257,6 +257,14 @@ class MohrCoulomb(Law):
         ParameterError: A parameter is outside its range, the dilation angle exceeds a
             friction angle, there is neither cohesion nor friction, residual values have
             no rate, or the fall of strength is too steep.
+
+    Triaxial compression without cohesion: the stresses at yield differ by tan²(45° + φ/2):
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.MohrCoulomb(E=2e6, nu=0.25, cohesion=0.0, friction_angle=30.0)
+    >>> s = law.respond([[0.0, 0.0, -9e-3]]).stress[0]
+    >>> round(float(s[2] / s[0]), 6)
+    3.0
     """
 
     parameters = ELASTIC | {

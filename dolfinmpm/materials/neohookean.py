@@ -7,7 +7,7 @@ from typing import Any
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, lame
 from dolfinmpm.materials.parametrised import Parametrised, Value
@@ -27,6 +27,13 @@ class NeoHookean(Parametrised):
 
     Raises:
         ParameterError: A parameter is outside its range.
+
+    The modulus grows with the height:
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.NeoHookean(E=lambda x: 1e6 + 1e5 * x[1], nu=0.3)
+    >>> law.varies
+    True
     """
 
     parameters = ELASTIC

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["Array", "Parameter", "Parametrised", "Value"]
 
@@ -30,6 +30,13 @@ class Parameter:
     Raises:
         ParameterError: The unit is not a word, a limit is not a number, or the lower limit is not
             below the upper limit.
+
+    A modulus, any number above 0:
+
+    >>> import dolfinmpm as mpm
+    >>> modulus = mpm.materials.Parameter("Pa", low=0.0)
+    >>> modulus.unit, modulus.low, modulus.high, modulus.closed
+    ('Pa', 0.0, inf, False)
     """
 
     unit: str
@@ -187,7 +194,7 @@ class Parametrised:
             if callable(given):
                 if x is None:
                     raise ParameterError(f"{name}: {key} is a function and needs positions")
-                given = ask(f"{name}: {key}", given, x)
+                given = call_function(f"{name}: {key}", given, x)
                 self.parameters[key].check(name, key, given)
             if np.shape(given) not in ((), (n,)):
                 raise ParameterError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["Sand", "sand"]
@@ -29,6 +29,11 @@ class Sand:
         cohesion: c (Pa).
         nu: Poisson's ratio.
         K0: Horizontal by vertical effective stress at rest.
+
+    >>> import dolfinmpm as mpm
+    >>> dense = mpm.materials.sand(0.8)
+    >>> dense.E_ref, dense.density, dense.friction_angle
+    (48000000.0, 1820.0, 38.0)
     """
 
     relative_density: float
@@ -71,6 +76,12 @@ def sand(relative_density: float, *, nu: float = 0.3, cohesion: float = 300.0) -
     Raises:
         ParameterError: RD is not in [0, 1], such as a value in per cent. Or nu or the cohesion is
             outside its range.
+
+    >>> import dolfinmpm as mpm
+    >>> medium = mpm.materials.sand(0.5)
+    >>> law = mpm.materials.MohrCoulomb(E=medium.E_ref, **medium.parameters)
+    >>> medium.parameters["friction_angle"], round(medium.K0, 3)
+    (34.25, 0.437)
     """
     RD = number("relative_density", relative_density)
     if not 0.0 <= RD <= 1.0:

@@ -46,6 +46,14 @@ class Tresca(Law):
 
     Raises:
         ParameterError: A parameter is outside its range, or the strength falls too fast.
+
+    Largest and smallest stress differ by 2c at yield:
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.Tresca(E=2e6, nu=0.25, cohesion=500.0)
+    >>> s = law.respond([[2e-3, 0.0, -2e-3]]).stress[0]
+    >>> s.round(6).tolist()
+    [500.0, 0.0, -500.0]
     """
 
     parameters = ELASTIC | {

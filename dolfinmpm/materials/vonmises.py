@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Law
 from dolfinmpm.materials.lawkernel import law_kernel
@@ -136,6 +136,14 @@ class VonMises(Law):
     Raises:
         ParameterError: A parameter is outside its range, not exactly one of `yield_stress` and
             `radius` is given, or the strength falls too fast.
+
+    The deviator of the stress at yield is √(2/3) σ_y:
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.VonMises(E=2e6, nu=0.25, yield_stress=1e3)
+    >>> s = law.respond([[2e-3, -1e-3, -1e-3]]).stress[0]
+    >>> s.round(6).tolist()
+    [666.666667, -333.333333, -333.333333]
     """
 
     internal = {"plastic_strain": ("", 0.0)}

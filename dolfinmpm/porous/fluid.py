@@ -12,7 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, number
+from dolfinmpm._platform.argumentchecks import Tags, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.points import MaterialPoints, PointField
 
@@ -34,6 +34,10 @@ class Fluid:
 
     Raises:
         ParameterError: A number is not positive.
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.Fluid().unit_weight, mpm.Fluid(bulk_modulus=2.2e9).compressible
+    (9810.0, True)
     """
 
     density: float = 1000.0
@@ -74,6 +78,13 @@ def kozeny_carman(k: float, porosity: float) -> Permeability:
     Raises:
         ParameterError: A number is outside its range, or the numbers look swapped: the porosity is
             below 0.02 and smaller than the conductivity.
+
+    The conductivity after a compression from n = 0.4 to n = 0.3:
+
+    >>> import dolfinmpm as mpm
+    >>> k = mpm.kozeny_carman(1e-9, porosity=0.4)
+    >>> round(k(1.0, 0.3) / 1e-9, 4)
+    0.3099
     """
     k, n0 = number("k", k, 0.0, unit="m/s"), number("porosity", porosity, 0.0, 1.0)
     if n0 < min(k, 0.02):

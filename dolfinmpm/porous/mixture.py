@@ -18,35 +18,43 @@ stabilisation. Nothing is projected from the points to the grid, so that nothing
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import as_tags, number, shown, truth
-from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
-from dolfinmpm.body.formarguments import (
-    check_displacement,
-    check_increment,
-    check_points,
-    check_test,
-)
+from dolfinmpm._platform.argumentchecks import as_tags, truth
+from dolfinmpm._platform.collective import collective
+from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, carried
 from dolfinmpm.forms.ghostterms import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.lawterms import momentum
-from dolfinmpm.materials.base import lame
+from dolfinmpm.porous.alphalevel import Level
+from dolfinmpm.porous.deformation import Kinematics, kinematics
 from dolfinmpm.porous.fluid import Fluid, refuse_hollow, refuse_light
-from dolfinmpm.porous.kinematics import kinematics
-from dolfinmpm.porous.levels import Level
+from dolfinmpm.porous.mixturearguments import (
+    first_porosity,
+    fluid_of,
+    gravity_of,
+    modulus_of,
+    permeability_of,
+    porosity_of,
+    suction_of,
+    time_weights,
+    unknowns,
+)
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
-from dolfinmpm.porous.waterfaces import Flow, entering, held, seeping, surfaces
+from dolfinmpm.porous.waterboundaries import (
+    Flow,
+    prescribed_inflow,
+    prescribed_pressure,
+    seepage_face,
+    surfaces,
+)
 
 __all__ = ["poromechanics"]
 
@@ -58,7 +66,7 @@ _STORAGE = {1: 5e-4, 2: 5e-6, 3: 5e-8}
 _FLOW = {1: 1 / 90, 2: 1 / 1800, 3: 1 / 90000}
 
 
-@together
+@collective
 def poromechanics(
     soil: Any,
     points: MaterialPoints,
@@ -112,7 +120,7 @@ def poromechanics(
         theta: Weight of the flow at the end of the step: 1 is backward Euler, ½ is Crank-Nicolson.
         rho_inf: ρ∞ of `GeneralisedAlpha`; give both the same number. The balance of the water's
             volume then uses the generalised-α method for first-order equations, at the level at
-            which forces balance; see `dolfinmpm.porous.levels`. None for all other problems.
+            which forces balance; see `dolfinmpm.porous.alphalevel`. None for all other problems.
         inertia: Whether the water is accelerated together with the soil. Darcy's law is then
             w = −(k/γ_w)(∇p − ρ_w (b − a)), with the acceleration a of the soil. The acceleration
             of the water relative to the soil is left out (Zienkiewicz, Chang & Bettess 1980,
@@ -151,52 +159,51 @@ def poromechanics(
     Warns:
         UnstablePairWarning: u and p have the same cells and projection is "none"; or u has coarser
             cells than p, or a lower degree; see `dolfinmpm.porous.projection`.
+
+    A load of 10 kPa goes to the water at first:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=1800.0)
+    >>> V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    >>> u, v, p, q = V.increment, V.test, Q.increment, Q.test
+    >>> clay = mpm.materials.Hencky(E=1e6, nu=0.3)
+    >>> F = mpm.poromechanics(clay, points, (u, p), (v, q), permeability=1e-9, porosity=0.4)
+    >>> F += mpm.Surface(points, lambda x: x[1] > 3.9, (0, 1)).pressure(1e4, u, v)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right") + mpm.fixed(Q, "top")
+    >>> record = mpm.Transient(F, [u, p], points, bcs).step(1.0)
+    >>> points["pressure"][:4].round(-2).tolist()
+    [10000.0, 10000.0, 10000.0, 10000.0]
     """
     check_points(points)
-    u, p, v, q = _fields(points, fields, tests)
-    fluid = Fluid() if fluid is None else fluid
-    if not isinstance(fluid, Fluid):
-        raise ParameterError(f"fluid = {shown(fluid)} must be a dolfinmpm.Fluid")
-    theta = number("theta", theta, 0.0, 1.0, closed=True)
-    if theta < 0.5:
-        raise ParameterError(f"theta = {theta:g} must be at least 0.5: smaller ones are not stable")
-    level = None if rho_inf is None else Level(points, rho_inf)
-    if level is not None and theta != 1:
-        raise ParameterError(
-            f"theta = {theta:g} weights the flow at both ends of a step, but with rho_inf the flow "
-            "is balanced at a level within the step: leave theta or rho_inf out"
-        )
+    u, p, v, q = unknowns(points, fields, tests)
+    fluid = fluid_of(fluid)
+    theta, level = time_weights(points, theta, rho_inf)
     form = momentum(soil, points, u, v, strain=strain, fbar=fbar, tag=tag)
     at = kinematics(points, u, strain)
     end = at if level is None else kinematics(points, u, strain, level.whole)
-    grid, dt, gdim = points.grid, points.dt, points.gdim
-    n0 = _porosity(porosity, points)
+    n0 = porosity_of(porosity, points)
     n, n_end = 1 - (1 - n0) / at.J, 1 - (1 - n0) / end.J
-    weight = own_constant(grid, fluid.unit_weight)
-    water = own_constant(grid, fluid.density)
-    K = _permeability(permeability, at.J, n, points) / weight
-    K0 = _permeability(permeability, 1.0, n0, points) / weight
-    b = _gravity(gravity, points)
-    M = _modulus(modulus, soil, points)
+    weight = own_constant(points.grid, fluid.unit_weight)
+    water = own_constant(points.grid, fluid.density)
+    K = permeability_of(permeability, at.J, n, points) / weight
+    K0 = permeability_of(permeability, 1.0, n0, points) / weight
+    b = gravity_of(gravity, points)
+    M = modulus_of(modulus, soil, points)
     pressure = carried(points, "pressure", p, unit="Pa")
-    keeps: list[CarriedField] = [
-        carried(points, "porosity", n_end, unit="", first=_first(porosity))
-    ]
-    keeps[0].bounds = 0.0, 1.0
-
+    pores = carried(points, "porosity", n_end, unit="", first=first_porosity(porosity))
+    pores.bounds = 0.0, 1.0
+    keeps: list[CarriedField] = [pores]
     # both equations in newtons: M/h times q, so that solvers see equations of similar size
     scale = M / size_of(p)
     q = scale * q
 
     dX = points.dX("everywhere" if tag is None else tag)
-    acts = p if suction is None else ufl.max_value(p, -_suction(suction, points))
-    div = ufl.tr(at.grad(v))
+    acts = p if suction is None else ufl.max_value(p, -suction_of(suction, points))
     if level is not None:
         pressure.update = level.end(pressure, p)
-    storage = end.growth
-    if fluid.compressible:
-        bulk = own_constant(grid, fluid.bulk_modulus)
-        storage += end.J * n_end / bulk * (pressure.update - pressure)
+    storage = _stored(points, fluid, end, n_end, pressure.update - pressure)
     if level is not None:
         storage, rate = level.change("storage_rate", storage, "1/s")
         keeps.append(rate)
@@ -204,173 +211,88 @@ def poromechanics(
     if truth("inertia", inertia):
         refuse_light(points, fluid, n0, M)
         drive += water * acceleration(points, u)
-    flow = at.J * _times(K, drive)
-    terms = -at.J * acts * div + storage * q + theta * dt * ufl.dot(flow, at.grad(q))
+    through = Flow(points, u, p, q, at, M, K, drive)
+    flow = at.J * through.rate
+    terms = -at.J * acts * ufl.tr(at.grad(v)) + storage * q
+    terms += theta * points.dt * ufl.dot(flow, at.grad(q))
     if theta < 1:
         # flow at the start of the step, whose gradients are those of the grid
-        before = carried(points, "flow", flow, unit="Pa m/s", first=np.zeros(gdim))
-        terms += (1 - theta) * dt * ufl.dot(before, ufl.grad(q))
+        before = carried(points, "flow", flow, unit="Pa m/s", first=np.zeros(points.gdim))
+        terms += (1 - theta) * points.dt * ufl.dot(before, ufl.grad(q))
     if b is not None:
         refuse_hollow(points, fluid, n0, as_tags(tag))
-        mass = points.density + at.growth * water
-        terms -= mass * ufl.dot(b, v)
+        terms -= (points.density + at.growth * water) * ufl.dot(b, v)
         mass = points.density + end.growth * water
         keeps.append(carried(points, "density", mass, unit="kg/m^d"))
-    factor = factor_of(projection, u, p)
-    if factor:
-        slope = carried(points, "pressure_gradient", at.grad(p), unit="Pa/m", first=np.zeros(gdim))
-        change, share = at.grad(p) - slope, theta
-        if level is not None:
-            slope.update = end.spatial(level.end(slope, ufl.grad(p)))
-            whole = level.whole * (ufl.grad(p) - slope)
-            change, rate = level.change("gradient_rate", whole, "Pa/(m s)")
-            share = 1 / level.weight
-            keeps += [slope, rate]
-        terms += projected(points, factor, change, p, q, M, K, share)
+    if factor := factor_of(projection, u, p):
+        terms += _projection(through, factor, theta, level, end, keeps)
     keeps.append(pressure)
     if level is not None:
         for field in keeps:
             field.level = level.share
-    marked = {
-        **dX.metadata(),
-        CARRIED: tuple(keeps),
-        PENALTY: {p: scale * _penalty(M, n0, fluid, K0, points, p)},
-    }
-    form += terms * dX(metadata=marked)
-    through = Flow(points, u, p, q, at, M, K, drive)
-    for surface, value in surfaces("drained", drained, points, "Pa", 0.0):
-        form += held(through, surface, value)
-    for surface, value in surfaces("seepage", seepage, points, "Pa", 0.0):
-        form += seeping(through, surface, value)
-    for surface, rate in surfaces("inflow", inflow, points, "m/s"):
-        form += entering(through, surface, rate)
-    for surface, level in surfaces("ponded", ponded, points, "m"):
-        depth = ufl.max_value(level - surface.position(u)[gdim - 1], 0.0)
-        form += held(through, surface, weight * depth)
-        form += surface.pressure(weight * depth, u, v)
+    penalty = {p: scale * _penalty(M, n0, fluid, K0, points, p)}
+    marks = {**dX.metadata(), CARRIED: tuple(keeps), PENALTY: penalty}
+    form += terms * dX(metadata=marks)
+    for part in _surface_terms(through, weight, v, drained, seepage, inflow, ponded):
+        form += part
     return form
 
 
-def _fields(points: MaterialPoints, fields: Any, tests: Any) -> tuple[Any, Any, Any, Any]:
-    for what, pair in (("fields", fields), ("tests", tests)):
-        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-            raise ParameterError(
-                f"{what} = {shown(pair)} must be a pair: one for the displacement and one for the "
-                "pressure"
-            )
-    (u, p), (v, q) = fields, tests
-    check_displacement(points, u=u, v=v)
-    check_increment(points, p)
-    if p.ufl_shape != ():
-        raise ParameterError(
-            f"the pressure has shape {p.ufl_shape} and must be a scalar: Space(..., shape=())"
-        )
-    check_test(points, p, q)
-    return u, p, v, q
+def _stored(
+    points: MaterialPoints, fluid: Fluid, end: Kinematics, porosity: Expr, change: Expr
+) -> Expr:
+    """Volume of water that a step stores, per initial volume.
 
-
-def _porosity(porosity: Any, points: MaterialPoints) -> Any:
-    if isinstance(porosity, Expr):
-        if porosity.ufl_shape != ():
-            raise ParameterError(f"porosity has shape {porosity.ufl_shape} and must be a scalar")
-        return porosity
-    return own_constant(points.grid, number("porosity", porosity, 0.0, 1.0))
-
-
-def _first(porosity: Any) -> float:
-    # the value of an expression is known only in the first step
-    return 0.5 if isinstance(porosity, Expr) else float(porosity)
-
-
-def _permeability(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
-    """k for UFL, a scalar or a tensor (m/s)."""
-    d = points.gdim
-    if callable(given) and not isinstance(given, Expr):
-        given = _of_porosity(given, J, n)
-    if isinstance(given, Expr):
-        if given.ufl_shape not in ((), (d, d)):
-            raise ParameterError(
-                f"permeability has shape {given.ufl_shape} and must be a scalar or of shape "
-                f"{(d, d)}"
-            )
-        return given
-    if np.ndim(given) == 0:
-        return own_constant(points.grid, number("permeability", given, 0.0, math.inf, "m/s", True))
-    tensor = _tensor(given)
-    if not np.isfinite(tensor).all():
-        raise ParameterError(f"permeability = {shown(given)} must be finite (m/s)")
-    symmetric = tensor.shape == (d, d) and np.allclose(tensor, tensor.T, rtol=1e-12, atol=0)
-    if not symmetric or np.linalg.eigvalsh(tensor).min() < 0:
-        raise ParameterError(
-            f"permeability = {shown(given)} must be symmetric, of shape {(d, d)} and without "
-            "negative eigenvalues (m/s)"
-        )
-    return own_constant(points.grid, tensor)
-
-
-def _of_porosity(function: Any, J: Any, n: Any) -> Any:
-    """Result of a user's function of J and n.
-
-    Raises:
-        ParameterError: The function fails.
+    Args:
+        points: Material points.
+        fluid: The fluid.
+        end: Volume changes at the end of the step.
+        porosity: Porosity at the end of the step.
+        change: Change of the pressure in the step (Pa).
     """
-    try:
-        return function(J, n)
-    except Exception as error:
-        raise ParameterError(
-            f"permeability, a function, failed with {type(error).__name__}: {error}; it is called "
-            "once, with UFL expressions of the volume ratio J and the porosity n; see "
-            "kozeny_carman. For a permeability that varies in space give a field, "
-            "points.add_field('k', value=lambda x: ...)"
-        ) from error
+    if not fluid.compressible:
+        return end.growth
+    bulk = own_constant(points.grid, fluid.bulk_modulus)
+    return end.growth + end.J * porosity / bulk * change
 
 
-def _tensor(given: Any) -> npt.NDArray[np.float64]:
-    try:
-        return np.asarray(given, float)
-    except (TypeError, ValueError):
-        raise ParameterError(
-            f"permeability = {shown(given)} must be a number (m/s), a tensor, UFL or a function of "
-            "J and n"
-        ) from None
+def _surface_terms(
+    through: Flow, weight: Any, v: Any, drained: Any, seepage: Any, inflow: Any, ponded: Any
+) -> Iterator[ufl.Form]:
+    """Terms at the surfaces of four arguments of `poromechanics`."""
+    points = through.points
+    for surface, value in surfaces("drained", drained, points, "Pa", 0.0):
+        yield prescribed_pressure(through, surface, value)
+    for surface, value in surfaces("seepage", seepage, points, "Pa", 0.0):
+        yield seepage_face(through, surface, value)
+    for surface, rate in surfaces("inflow", inflow, points, "m/s"):
+        yield prescribed_inflow(through, surface, rate)
+    for surface, level in surfaces("ponded", ponded, points, "m"):
+        depth = ufl.max_value(level - surface.position(through.u)[points.gdim - 1], 0.0)
+        yield prescribed_pressure(through, surface, weight * depth)
+        yield surface.pressure(weight * depth, through.u, v)
 
 
-def _times(K: Expr, w: Expr) -> Expr:
-    return K * w if K.ufl_shape == () else ufl.dot(K, w)
-
-
-def _gravity(gravity: Any, points: MaterialPoints) -> Any:
-    if gravity is None or isinstance(gravity, Expr):
-        if gravity is not None and gravity.ufl_shape != (points.gdim,):
-            raise ParameterError(
-                f"gravity has shape {gravity.ufl_shape} and must be a vector of {points.gdim}"
-            )
-        return gravity
-    components = np.ravel(np.asarray(gravity, object))
-    if len(components) != points.gdim:
-        raise ParameterError(
-            f"gravity = {shown(gravity)} must be a vector of {points.gdim} components (m/s²)"
-        )
-    return own_constant(points.grid, [number("gravity", c) for c in components])
-
-
-def _suction(suction: Any, points: MaterialPoints) -> Any:
-    return own_constant(points.grid, number("suction", suction, 0.0, math.inf, "Pa", True))
-
-
-def _modulus(modulus: Any, soil: Any, points: MaterialPoints) -> Any:
-    """M for UFL (Pa)."""
-    if modulus is not None:
-        return own_constant(points.grid, number("modulus", modulus, 0.0, unit="Pa"))
-    values = soil.values
-    E, nu = values.get("E"), values.get("nu")
-    if not (isinstance(E, float) and isinstance(nu, float)):
-        raise ParameterError(
-            f"{soil!r} has no elastic constants that are the same at all points, but the pressure "
-            "stabilisation needs a modulus as scale: give modulus=M, the P-wave modulus (Pa)"
-        )
-    lmbda, mu = lame(E, nu)
-    return own_constant(points.grid, lmbda + 2 * mu)
+def _projection(
+    through: Flow,
+    factor: float,
+    theta: float,
+    level: Level | None,
+    end: Kinematics,
+    keeps: list[CarriedField],
+) -> Expr:
+    """Polynomial pressure projection; see `projected`. Fields that it carries join `keeps`."""
+    points, p, at = through.points, through.p, through.at
+    first = np.zeros(points.gdim)
+    slope = carried(points, "pressure_gradient", at.grad(p), unit="Pa/m", first=first)
+    change, share = at.grad(p) - slope, theta
+    if level is not None:
+        slope.update = end.spatial(level.end(slope, ufl.grad(p)))
+        whole = level.whole * (ufl.grad(p) - slope)
+        change, rate = level.change("gradient_rate", whole, "Pa/(m s)")
+        share = 1 / level.weight
+        keeps += [slope, rate]
+    return projected(points, factor, change, p, through.q, through.M, through.K, share)
 
 
 def _penalty(M, n0, fluid: Fluid, K, points: MaterialPoints, p) -> Expr:

@@ -30,7 +30,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, number
 from dolfinmpm._platform.errors import UnstablePairWarning, warn
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints

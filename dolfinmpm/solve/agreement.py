@@ -1,4 +1,4 @@
-"""What ranks compare of problems and of steps; see `dolfinmpm._platform.together`."""
+"""Data of problems and steps that ranks compare; see `dolfinmpm._platform.collective`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ufl.classes import FixedIndex, MultiIndex, ScalarValue
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.alike import Told, told
+from dolfinmpm._platform.plainvalues import PlainValues, plain_value
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary
@@ -24,7 +24,7 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Polygon, Shape
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
 from dolfinmpm.materials.parametrised import Parametrised
 
@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 __all__ = ["of_step"]
 
 
-def of_step(problem: Problem, t: Any = None) -> Told:
-    """What all ranks must give a step alike: its time, and what loads, holds and moves the body.
+def of_step(problem: Problem, t: Any = None) -> PlainValues:
+    """Data that must be equal on all ranks in a step: time, loads, conditions and motions.
 
     Args:
         problem: The problem.
-        t: Time that the step goes to (s), if it goes to one.
+        t: End of the step (s), or None in problems without time.
     """
     end = getattr(t, "end", t)
-    found: Told = [("the number of the points' fields", len(problem.points.fields))]
+    found: PlainValues = [("the number of the points' fields", len(problem.points.fields))]
     found += [("t", _at_once(t)), ("the last time", _at_once(end))]
     constants = [c for c in problem.loads.items if isinstance(c, fem.Constant)]
     found += [(_name_of(c, k), _at_once(c.value)) for k, c in enumerate(constants)]
@@ -60,17 +60,17 @@ def of_step(problem: Problem, t: Any = None) -> Told:
 
 
 def _at_once(value: Any) -> Any:
-    """As `told`, which takes as long as all the rest of a step's comparison."""
+    """Fast `plain_value` for common types, because `plain_value` would double the time."""
     kind = type(value)
     if kind is np.ndarray and value.ndim < 2:
         return value.item() if value.ndim == 0 else tuple(value.tolist())
-    return value if kind is float or value is None else told(value)
+    return value if kind is float or value is None else plain_value(value)
 
 
 def _asked(function: Any, t: Any) -> Any:
-    """What a user's function gives at a time; who calls it next tells what is wrong with it."""
+    """Result of a user's function at a time. Its next caller reports an error of the function."""
     try:
-        return told(function(t))
+        return plain_value(function(t))
     except Exception as error:
         return f"a {type(error).__name__}"
 
@@ -83,24 +83,24 @@ def _name_of(constant: fem.Constant, k: int) -> str:
 # -- kinds of arguments -----------------------------------------------------------
 
 
-@told.register(Mesh)
+@plain_value.register(Mesh)
 def _mesh(grid: Mesh) -> Any:
     cells = grid.topology.index_map(grid.topology.dim).size_global
     return ("cells", cells), ("kind", grid.topology.cell_name()), ("gdim", grid.geometry.dim)
 
 
-@told.register(fem.Constant)
+@plain_value.register(fem.Constant)
 def _constant(constant: fem.Constant) -> Any:
-    return told(constant.value)
+    return plain_value(constant.value)
 
 
-@told.register(fem.Function)
+@plain_value.register(fem.Function)
 def _function(function: fem.Function) -> Any:
     space = getattr(function, "_dolfinmpm_space", None)
-    return "a function of the grid" if space is None else told(space)
+    return "a function of the grid" if space is None else plain_value(space)
 
 
-@told.register(Space)
+@plain_value.register(Space)
 def _space(space: Space) -> Any:
     basis = space.basis
     parts = {
@@ -109,58 +109,58 @@ def _space(space: Space) -> Any:
         "domains": space.domains, "coarsen": space.coarsen, "tag": space.tags,
         "order among the spaces of its grid": space.number,
     }  # fmt: skip
-    return told(parts)
+    return plain_value(parts)
 
 
-@told.register(MaterialPoints)
+@plain_value.register(MaterialPoints)
 def _points(points: MaterialPoints) -> Any:
-    # sets of points have laws in the order in which forms are made
+    # the order of forms gives the order of the laws of a set of points
     parts = {
         "number": points.total,
         "fields": list(points.symbols.fields),
         "axisymmetric": points.axisymmetric,
         "order among the points of its grid": points.symbols.order,
     }
-    return told(parts)
+    return plain_value(parts)
 
 
-@told.register(Shape)
+@plain_value.register(Shape)
 def _shape(shape: Shape) -> Any:
     kept = {"low": shape.low, "high": shape.high, "volume": shape.volume}
     kept |= {name: vars(shape)[name] for name in ("point", "normal") if name in vars(shape)}
     if isinstance(shape, Polygon):
         kept["vertices"] = shape.vertices
-    return told({"kind": type(shape).__name__, **kept})
+    return plain_value({"kind": type(shape).__name__, **kept})
 
 
-@told.register(Surface)
+@plain_value.register(Surface)
 def _surface(surface: Surface) -> Any:
-    return told({"name": surface.name, "total_area": surface.total_area})
+    return plain_value({"name": surface.name, "total_area": surface.total_area})
 
 
-@told.register(Boundary)
+@plain_value.register(Boundary)
 def _boundary(boundary: Boundary) -> Any:
-    return told({"name": boundary.name, "markers": boundary.markers.total})
+    return plain_value({"name": boundary.name, "markers": boundary.markers.total})
 
 
-@told.register(Condition)
+@plain_value.register(Condition)
 def _condition(condition: Condition) -> Any:
     value: Any = condition.value
     if condition.velocity is not None:
         value = _asked(condition.velocity, 0.0)
     elif not isinstance(value, fem.Constant) and condition.values.ndim:
         value = "numbers"
-    return f"component {condition.component} at '{condition.where}'", told(value)
+    return f"component {condition.component} at '{condition.where}'", plain_value(value)
 
 
-@told.register(Parametrised)
+@plain_value.register(Parametrised)
 def _law(law: Parametrised) -> Any:
     values = law.__dict__.get("values", {}).items()
     kept = {name: value if isinstance(value, float) else "varying" for name, value in values}
-    return told({"kind": type(law).__name__, **kept})
+    return plain_value({"kind": type(law).__name__, **kept})
 
 
-@told.register(RigidBody)
+@plain_value.register(RigidBody)
 def _body(body: RigidBody) -> Any:
     surface, free = body.surface, body.freedom
     kept = {
@@ -168,17 +168,17 @@ def _body(body: RigidBody) -> Any:
         "high": surface.high, "centre": body.position, "motion": _asked(body.prescribed, body.time),
         "free": None if free is None else free.free, "mass": None if free is None else free.mass,
     }  # fmt: skip
-    return told(kept)
+    return plain_value(kept)
 
 
 def _mark(mark: Any) -> Any:
-    """What a form says of a contact or a weak condition: its numbers, words, bodies, boundaries."""
+    """Data of a contact or a weak condition: its numbers, words, bodies and boundaries."""
     kinds = bool, int, float, str, tuple, type(None), RigidBody, Boundary, Surface
     kept = {name: value for name, value in vars(mark).items() if isinstance(value, kinds)}
-    return told({"kind": type(mark).__name__, **kept})
+    return plain_value({"kind": type(mark).__name__, **kept})
 
 
-@told.register(ufl.Form)
+@plain_value.register(ufl.Form)
 def _form(form: ufl.Form) -> Any:
     parts: list[tuple[str, Any]] = [("number of terms", len(form.integrals()))]
     for k, integral in enumerate(form.integrals()):
@@ -190,52 +190,56 @@ def _form(form: ufl.Form) -> Any:
                 kind = marks[mark].kind if mark == "term" else mark
                 parts.append((f"{kind} of term {k + 1}", _mark(marks[mark])))
         if "boundary" in marks:
-            parts.append((f"boundary of term {k + 1}", told(marks["boundary"])))
+            parts.append((f"boundary of term {k + 1}", plain_value(marks["boundary"])))
         parts.append((f"measure of term {k + 1}", integral.integral_type()))
-        parts += [(f"{name} of term {k + 1}", value) for name, value in told(integral.integrand())]
+        parts += [
+            (f"{name} of term {k + 1}", value) for name, value in plain_value(integral.integrand())
+        ]
     return tuple(parts)
 
 
 def _carried(fields: Iterable[Any]) -> list[tuple[str, Any]]:
-    """What fields that terms carry are set to, and those that are in what these are set to."""
+    """Expressions of carried fields, also of carried fields within these expressions."""
     parts, seen, left = [], set(), list(fields)
     while left:
         field = left.pop(0)
         if not isinstance(field, CarriedField) or id(field) in seen:
             continue
-        # often set to what it has been and something more
+        # the expression of a field often contains the field itself
         seen.add(id(field))
-        parts += [(f"{n} of what '{field.name}' carries", what) for n, what in told(field.update)]
+        parts += [
+            (f"{n} of what '{field.name}' carries", what) for n, what in plain_value(field.update)
+        ]
         if isinstance(field.update, Expr):
             left += extract_coefficients(field.update)
     return parts
 
 
-@told.register(Expr)
+@plain_value.register(Expr)
 def _expression(expression: Expr) -> Any:
-    """Its laws, constants, fields and numbers, and how often it has which operation.
+    """Laws, constants, fields and numbers of an expression, and the count of each operation.
 
-    Not in their order: UFL sorts operands by numbers that may differ between ranks.
+    Their order does not count, because UFL sorts operands by numbers that may differ between ranks.
     """
     coefficients, constants = extract_coefficients(expression), extract_constants(expression)
     found = [getattr(c, "declaration", None) for c in (*coefficients, *constants)]
     declared = {id(d): d for d in found if d is not None}.values()
     parts: list[tuple[str, Any]] = []
     for d in declared:
-        marks = ("strain", d.strain), ("tag", told(d.tags)), ("fbar", d.fbar)
-        parts.append((type(d.law).__name__, (*told(d.law), *marks)))
+        marks = ("strain", d.strain), ("tag", plain_value(d.tags)), ("fbar", d.fbar)
+        parts.append((type(d.law).__name__, (*plain_value(d.law), *marks)))
     numbers_of = [c for c in constants if isinstance(c, fem.Constant)]
     numbers_of = [c for c in numbers_of if getattr(c, "declaration", None) is None]
-    parts += [(_name_of(c, k), told(c)) for k, c in enumerate(numbers_of)]
+    parts += [(_name_of(c, k), plain_value(c)) for k, c in enumerate(numbers_of)]
     fields = sorted(c.name for c in coefficients if isinstance(c, PointField))
     numbers, places, operations = [], [], Counter[str]()
     for node in unique_pre_traversal(expression):
         if isinstance(node, ScalarValue):
             numbers.append(float(node))
         elif isinstance(node, MultiIndex):
-            # free ones have numbers of each rank
+            # numbers of free indices differ between ranks
             places += [int(index) for index in node if isinstance(index, FixedIndex)]
         operations[type(node).__name__] += 1
-    parts += [("fields", told(fields)), ("numbers", told(sorted(numbers)))]
-    parts.append(("indices", told(sorted(places))))
-    return (*parts, ("operations", told(sorted(operations.items()))))
+    parts += [("fields", plain_value(fields)), ("numbers", plain_value(sorted(numbers)))]
+    parts.append(("indices", plain_value(sorted(places))))
+    return (*parts, ("operations", plain_value(sorted(operations.items()))))

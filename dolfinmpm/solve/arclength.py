@@ -14,8 +14,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.formchecks import check_form
@@ -26,14 +26,14 @@ from dolfinmpm.solve.arguments import (
     check_updates,
     increments_of,
 )
-from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.failures import advice_on
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
 from dolfinmpm.solve.path import PathBorder
+from dolfinmpm.solve.problemchecks import refuse_field_tags, refuse_time
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.step import Failed, Step, StepRecord
-from dolfinmpm.solve.timeless import refuse_time
 
 __all__ = ["ArcLength", "ArcRecord"]
 
@@ -178,13 +178,29 @@ class ArcLength(QuasiStatic):
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
         FormError: The load is not in the form, or the control is not a form over the points.
+
+    The first step aims at a tenth of the load:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> from dolfinx import fem
+    >>> load = fem.Constant(grid, (0.0, -1e4))
+    >>> F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, V.increment, V.test)
+    >>> F += mpm.Surface(points, lambda x: x[1] > 1.9, (0, 1)).traction(load, V.test)
+    >>> problem = mpm.ArcLength(F, V.increment, points, mpm.fixed(V, "bottom"), load=load)
+    >>> record = problem.step()
+    >>> round(record.factor, 3), load.value.round(0).tolist()
+    (0.1, [0.0, -1001.0])
     """
 
     history: list[ArcRecord]  # type: ignore[assignment]
     scheme: AlongPath
     _takes_scheme = False
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -219,7 +235,7 @@ class ArcLength(QuasiStatic):
         updates["arc_increment"] = u
         scheme = AlongPath()
         super().__init__(form, increment, points, bcs, updates=updates, scheme=scheme, **options)
-        refuse_bodies(self.fields, "ArcLength", "take QuasiStatic")
+        refuse_field_tags(self.fields, "ArcLength", "take QuasiStatic")
         if self.bodies.free:
             raise ParameterError(
                 f"'{self.bodies.free[0].name}' is free: an arc length finds a load factor and no "
@@ -234,7 +250,7 @@ class ArcLength(QuasiStatic):
         self.solver = Bordered(self.newton, self.path)
         scheme.path, scheme.pace = self.path, Pace(target_iterations, max_length)
         load_factor.set(factor)
-        self.loads.release()
+        self.loads.accept()
         self.path.factor = float(factor)
 
     @property
@@ -242,7 +258,7 @@ class ArcLength(QuasiStatic):
         """Load factor λ in the present state."""
         return self.path.factor
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> ArcRecord:
         """Take one step along the path. Collective.
 
@@ -276,7 +292,7 @@ class ArcLength(QuasiStatic):
             path.length = wanted
             raise
         finally:
-            self.loads.release()
+            self.loads.accept()
         assert path.length is not None
         # the predictor and the corrections of the successful attempt alone
         last = len(record.residuals)
@@ -298,12 +314,11 @@ class ArcLength(QuasiStatic):
         return math.sqrt(total[0] / total[1])
 
     def _lost(self, failed: Failed) -> str:
-        residuals = self._record.residuals
-        last = f"{residuals[-1]:.3g}" if residuals else "none"
+        """Message about a step that failed after all halvings. Collective."""
         return (
             f"step {len(self.history) + 1} of the path failed at the load factor {self.factor:.6g} "
             f"with a length of {self.path.length or math.nan:.3g} m: {failed.reason}; the relative "
-            f"out-of-balance force is {last} (tolerance {self.newton.tolerance:g}), the worst is "
-            f"{failed.worst}. The state is that before the step: choose another control, or "
-            f"{self._advice()}"
+            f"out-of-balance force is {self.last_residual} (tolerance {self.tolerance:g}), the "
+            f"worst is {failed.worst}. The state is that before the step: choose another control, "
+            f"or {advice_on(self)}"
         )

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -19,10 +18,16 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_function, check_kind, choice, number, shown, whole
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_kind,
+    choice,
+    number,
+    shown,
+    whole,
+)
 from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.heldmotions import free_motions
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.location import bounds
@@ -31,7 +36,6 @@ from dolfinmpm.cut.stabilisations import KINDS, Stabilisation
 
 __all__ = [
     "ELSEWHERE",
-    "advice",
     "check_callable",
     "check_conditions",
     "check_grid",
@@ -340,36 +344,3 @@ def check_path(
     if not max_length > 0:
         raise ParameterError(f"max_length = {max_length} m must be above 0")
     whole("target_iterations", target_iterations, 1)
-
-
-def advice(
-    stabilised: bool,
-    bcs: Sequence[Condition],
-    space: Space,
-    active: npt.NDArray[np.int32],
-    axisymmetric: bool = False,
-) -> str:
-    """Advice on a step that failed. Collective.
-
-    Args:
-        stabilised: Whether a stabilisation against small cuts is used.
-        bcs: Essential conditions.
-        space: Space of the first field.
-        active: Active nodes of the space.
-        axisymmetric: Whether the problem is axisymmetric.
-    """
-    text = "take smaller steps" if stabilised else "take smaller steps or add stabilisation"
-    if space.increment.ufl_shape != (space.grid.geometry.dim,):
-        return text
-    free = free_motions(bcs, space, active, axisymmetric)
-    if not free:
-        return text
-    if not bcs:
-        return (
-            "no boundary conditions are given, rigid motions are free: hold the body with "
-            f"mpm.fixed or mpm.rollers unless a term of the form does, or {text}"
-        )
-    return (
-        f"no condition holds the body's rigid motions {', '.join(free)}: add one unless a term of "
-        f"the form holds them, or {text}"
-    )

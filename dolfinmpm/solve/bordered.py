@@ -1,9 +1,8 @@
-"""Newton's method for an operator with m more equations for m more unknowns.
+"""Newton's method for the equations of a step with m more equations for m more unknowns.
 
-Every iteration solves for m + 1 right-hand sides with one factorisation, K b = −r and
-K A = −∂r/∂y, and takes δx = b + A δy with the δy that fulfils the linearised
-equations g(x, y) = 0: Newton's method for all equations together (Batoz & Dhatt 1979,
-doi 10.1002/nme.1620140811).
+Each iteration solves for m + 1 right-hand sides with one factorisation, K b = −r and K A = −∂r/∂y.
+The step is δx = b + A δy, with the δy that satisfies the linearised equations g(x, y) = 0. This is
+Newton's method for all equations together (Batoz & Dhatt 1979, doi 10.1002/nme.1620140811).
 """
 
 from __future__ import annotations
@@ -15,8 +14,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm.solve.linesearch import name_of
-from dolfinmpm.solve.newton import ConvergenceTest, Newton, Outcome
+from dolfinmpm.solve.newton import ConvergenceTest, Newton, Outcome, name_of
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["Border", "Bordered"]
@@ -29,25 +27,25 @@ class Border(Protocol):
     """The m equations g(x, y) = 0 and their unknowns y.
 
     Attributes:
-        tolerance: How well the equations, each divided by its size, are to be met.
-        unmet: What it says where they are not, though the forces balance.
+        tolerance: Bound of the equations' errors, each divided by the size of its equation.
+        unmet: Message if forces balance and these equations are not satisfied.
     """
 
     tolerance: float
     unmet: str
 
     def begin(self, operator: Operator) -> None:
-        """Take the operator of a new step. Collective."""
+        """Begin a step with its equations. Collective."""
 
-    def back(self) -> None:
-        """Put y back to what it was at the step's begin, for another attempt."""
+    def reset(self) -> None:
+        """Reset y to its value at the start of the step, for another attempt."""
 
     def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
-        """First guess of the unknowns, with y set to its own; or why there is none. Collective.
+        """First guess of the unknowns; also sets y. Collective.
 
         Returns:
-            The owned unknowns, shape (owned,), and the norm of the forces that the guess
-            makes, against which a body without loads is measured.
+            The owned unknowns, shape (owned,), and the norm of the forces made by the guess, which
+            is the reference for a body without loads. Or the reason of a failure.
         """
 
     def move(self, change: Array) -> None:
@@ -57,7 +55,7 @@ class Border(Protocol):
         """∂r/∂y at the owned unknowns, shape (owned, m). Collective."""
 
     def gap(self, x: Array) -> tuple[Array, Array, Array]:
-        """g, its derivative by the owned unknowns and that by y. Collective.
+        """g, its derivative by the owned unknowns, and its derivative by y. Collective.
 
         Returns:
             Shapes (m,), (owned, m) and (m, m).
@@ -65,7 +63,7 @@ class Border(Protocol):
 
 
 class Bordered:
-    """Newton's method with the equations of a border.
+    """Newton's method with the additional equations of a border.
 
     Args:
         newton: Tolerances and the linear solver.
@@ -84,11 +82,11 @@ class Bordered:
         while True:
             outcome = Outcome()
             self._attempt(operator, outcome)
-            # what has raised an error is not there any more
+            # after an error in PETSc there is no solver any more
             stuck = linear.failed or linear.stuck
             if outcome.reason is None or not stuck or not linear.relax():
                 return outcome
-            self.border.back()
+            self.border.reset()
 
     def _attempt(self, operator: Operator, outcome: Outcome) -> None:
         """One run of Newton's method from the border's guess. Collective."""
@@ -105,6 +103,7 @@ class Bordered:
             outcome.reason = self.newton.linear.why(error)
 
     def _correct(self, operator: Operator, outcome: Outcome, motion: float) -> str | None:
+        """Iterate from the border's guess; returns the reason of a failure, or None. Collective."""
         newton, border, x = self.newton, self.border, outcome.x
         matrix = newton.linear.matrix
         assert matrix is not None
@@ -112,10 +111,10 @@ class Bordered:
         balance.motion, outcome.residuals = motion, balance.residuals
         comm = operator.here.unknowns.comm
         while True:
-            operator.renew_external()
+            operator.update_external()
             found = operator.residual(x)
             gap, by_x, by_y = border.gap(x)
-            # the force out of balance after a predictor is no load to measure against: hence 1
+            # the number of the iteration is at least 1: the residual of a guess is no reference
             reason = balance.test(found.norm, found.reference, len(balance.residuals) + 1)
             if reason == Reason.CONVERGED_FNORM_RELATIVE:
                 if np.all(np.abs(gap) <= border.tolerance):
@@ -130,7 +129,7 @@ class Bordered:
             A = np.column_stack([newton.linear.solve(-column) for column in slopes.T])
             outcome.iterations += 1
             m = gap.size
-            # without factors solutions are infinite
+            # a failed solution is infinite
             with np.errstate(invalid="ignore"):
                 sums = comm.allreduce(by_x.T @ np.column_stack([A, b]), op=MPI.SUM)
             system = sums[:, :m] + by_y

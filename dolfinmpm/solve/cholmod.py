@@ -1,4 +1,4 @@
-"""Supernodal Cholesky factors by CHOLMOD, whose last block can be read."""
+"""Supernodal Cholesky factors by CHOLMOD, with access to their last block."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["DONE", "INDEFINITE", "NO_MEMORY", "Factor", "unavailable"]
 
 Array = npt.NDArray[np.float64]
 
-# How a factorisation ends, from good to worse
+# Results of a factorisation, from good to bad
 DONE, INDEFINITE, NO_MEMORY = range(3)
 
 _DECLARED = """
@@ -133,10 +133,10 @@ static void release(void *factor)
 
 
 def _header() -> Path:
-    """The folder with CHOLMOD's header, of the environment, of PETSc or of the system.
+    """The folder with CHOLMOD's header, in the environment, in PETSc or in the system.
 
     Raises:
-        OSError: There is none.
+        OSError: There is no such folder.
     """
     petsc = Path(petsc4py.get_config()["PETSC_DIR"])
     for root in (Path(sys.prefix), petsc, petsc / os.environ.get("PETSC_ARCH", ""), Path("/usr")):
@@ -148,7 +148,7 @@ def _header() -> Path:
 
 @functools.cache
 def _compiled() -> Any:
-    """The functions above, compiled once and kept where DOLFINx keeps compiled forms.
+    """The functions above, compiled once and kept in DOLFINx's cache of compiled forms.
 
     Raises:
         OSError: There is no header, no compiler or no library.
@@ -170,7 +170,7 @@ def _compiled() -> Any:
             name, _SOURCE, libraries=["cholmod"], include_dirs=[str(header)],
             library_dirs=[str(folder)], runtime_library_dirs=[str(folder)],
         )  # fmt: skip
-        # a process that compiles at the same time puts the same there
+        # another process may compile the same file at the same time
         with tempfile.TemporaryDirectory(dir=kept.parent) as made:
             try:
                 os.replace(ffi.compile(made), kept)
@@ -188,7 +188,7 @@ def _compiled() -> Any:
 
 @functools.cache
 def unavailable() -> str:
-    """Why CHOLMOD cannot be called here, or an empty text."""
+    """Reason why CHOLMOD cannot be used, or an empty text."""
     try:
         _compiled()
     except OSError as why:
@@ -199,17 +199,17 @@ def unavailable() -> str:
 class Factor:
     """L of B = L Lᵀ, B symmetric positive definite, with some unknowns eliminated last.
 
-    The fill-reducing order is that of constrained approximate minimum degree (Amestoy, Davis &
-    Duff 2004, doi 10.1145/1024074.1024081), the factorisation the supernodal one of CHOLMOD
-    (Chen, Davis, Hager & Rajamanickam 2008, doi 10.1145/1391989.1391995).
+    The order of constrained approximate minimum degree reduces fill (Amestoy, Davis & Duff 2004,
+    doi 10.1145/1024074.1024081). The factorisation is the supernodal one of CHOLMOD (Chen, Davis,
+    Hager & Rajamanickam 2008, doi 10.1145/1391989.1391995).
 
     Args:
-        start, columns: B's rows, compressed, shapes (n + 1,) and (entries,).
-        late: Which unknowns are eliminated last, shape (n,).
+        start, columns: Compressed rows of B, shapes (n + 1,) and (entries,).
+        late: Mask of the unknowns that are eliminated last, shape (n,).
 
     Attributes:
         order: Unknown of B at each place of L, shape (n,).
-        late: Places of the unknowns that are eliminated last, shape (m,).
+        late: Places in L of the unknowns that are eliminated last, shape (m,).
         flops: Floating-point operations of a factorisation.
         entries: Entries of L.
 
@@ -231,7 +231,7 @@ class Factor:
                 raise MemoryError("CHOLMOD has no memory or no numbers for factors so large")
             weakref.finalize(self, self._module.lib.release, self._L)
         self.flops, self.entries = counts
-        # others may stand between them, to which L does not couple them
+        # other unknowns may be between them, without coupling in L
         self.late = np.flatnonzero(late[self.order])
 
     def _pointers(self, *arrays: npt.NDArray) -> list[Any]:
@@ -239,7 +239,11 @@ class Factor:
         return list(map(self._module.ffi.from_buffer, kinds, arrays))
 
     def factorise(self, values: Array) -> int:
-        """Make L of B's entries, shape (entries,); returns how it ended."""
+        """Factorise B with given entries, shape (entries,).
+
+        Returns:
+            `DONE`, `INDEFINITE` or `NO_MEMORY`.
+        """
         if self._L is None:
             return DONE
         arrays = self._start, self._columns, np.ascontiguousarray(values)

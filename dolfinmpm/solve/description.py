@@ -1,9 +1,9 @@
-"""What a problem is, in words: what a checkpoint tells where it goes on in another problem."""
+"""A problem in words: the lines of `print(problem)`, and the description in a checkpoint."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
@@ -11,17 +11,20 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import DifferentProblemWarning, warn
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.cut.participants import Field
+from dolfinmpm.cut.activation import Field
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["describe", "warn_of_differences"]
+if TYPE_CHECKING:
+    from dolfinmpm.solve.problem import Problem
+
+__all__ = ["describe", "summary", "warn_of_differences"]
 
 
 def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) -> dict[str, str]:
-    """What a problem is made of, by name. Collective.
+    """Name → description of each part of a problem. Collective.
 
-    The configuration of its Spaces is left out, which may be another one.
+    The configuration of the Spaces is left out, because a checkpoint may change it.
 
     Args:
         fields: Its fields.
@@ -47,12 +50,12 @@ def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) 
 def warn_of_differences(
     comm: MPI.Comm, path: str, before: Mapping[str, str], now: Mapping[str, str]
 ) -> None:
-    """Warn of what a checkpoint's problem and the one that reads it differ in.
+    """Warn of differences between a checkpoint's problem and the problem that reads it.
 
     Args:
         comm: The ranks.
         path: The file.
-        before, now: What `describe` tells of both; nothing is known of files of older versions.
+        before, now: Results of `describe` for both. Files of older versions have none.
     """
     if not before:
         return
@@ -62,6 +65,34 @@ def warn_of_differences(
     if other:
         text = f"{path} goes on in a problem that is not the one that wrote it: {'; '.join(other)}"
         warn(comm, text, DifferentProblemWarning)
+
+
+def summary(problem: Problem) -> str:
+    """Lines on fields, bases, stabilisation, laws, terms, conditions, scheme and solver.
+
+    The call is not collective. Parameters that vary from point to point are shown as "varying".
+
+    Args:
+        problem: The problem.
+    """
+    form, points = problem.form, problem.points
+    lines = [f"{type(problem).__name__}: {points.total} points in {_dimension(points)}"]
+    for k, field in enumerate(problem.fields):
+        space, of = field.space, field.space.increment.ufl_shape
+        kind = "displacement" if of == (points.gdim,) else f"field of shape {of}"
+        lines.append(
+            f"field {k + 1}: {kind}, {_basis(space)}, {space.configuration} configuration; "
+            f"stabilisation: {field.stabilisation.kind}"
+        )
+    for law in form.parts.declarations:
+        tags = "" if law.tags is None else f", tags {', '.join(map(str, law.tags))}"
+        fbar = ", F-bar" if law.fbar else ""
+        lines.append(f"law: {law.law!r}, {law.strain} strain{fbar}{tags}")
+    lines.append(f"terms: {', '.join(_terms(problem)) or 'none'}")
+    held = [f"{c.where}: component {c.component} {_value(c)}" for c in problem.bcs]
+    lines.append(f"conditions: {'; '.join(held) or 'none'}")
+    lines += [f"rigid body: '{body.name}'" for body in problem.bodies.all]
+    return "\n".join(lines + problem.scheme_lines())
 
 
 def _law(declaration: Declaration) -> str:
@@ -78,7 +109,7 @@ def _law(declaration: Declaration) -> str:
 
 
 def _mean(declaration: Declaration, k: int) -> str:
-    """What tells a parameter that varies from another one: its mean over points. Collective."""
+    """Description of a varying parameter by its mean over the points. Collective."""
     values = declaration.parameters()[:, k]
     sums = np.array([values.sum(), float(values.size)])
     total, count = declaration.points.comm.allreduce(sums, op=MPI.SUM)
@@ -93,3 +124,31 @@ def _condition(condition: Condition) -> str:
     else:
         value = f"{condition.value:g}" if np.ndim(condition.value) == 0 else "values by node"
     return f"component {condition.component} at '{condition.where}': {value}"
+
+
+def _dimension(points: Any) -> str:
+    return "axisymmetry" if points.axisymmetric else f"{points.gdim} dimensions"
+
+
+def _basis(space: Any) -> str:
+    degree, averaged = space.basis.degree, space.basis.averaged
+    name = f"B-splines of degree {degree}" if degree > 1 else ("linear", "GIMP")[averaged]
+    return name if space.coarsen == 1 else f"{name} on cells of {space.coarsen} times the size"
+
+
+def _terms(problem: Problem) -> Iterable[str]:
+    """Kinds of terms in the form."""
+    form = problem.form
+    if form.regions:
+        yield "sums over points"
+    yield from (told for term in form.terms if (told := term.summary()))
+
+
+def _value(condition: Any) -> str:
+    if condition.velocity is not None:
+        return "moves by a velocity"
+    if isinstance(condition.value, fem.Constant):
+        return "increment by a constant"
+    if np.ndim(condition.value):
+        return "increments by node"
+    return "held" if condition.value == 0 else f"increment {condition.value:g} m"

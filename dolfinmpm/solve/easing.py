@@ -40,6 +40,6 @@ def ease(operator: Operator, share: float) -> None:
     """Leave the forces that are out of balance at rest so, but for a share. Collective."""
     if share == 1.0:
         return
-    operator.rest()
+    operator.move_to_zero()
     for mine, force in zip(operator.external, operator.forces()):
         mine -= (1.0 - share) * force

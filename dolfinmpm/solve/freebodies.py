@@ -1,7 +1,7 @@
-"""The border of a step with free rigid bodies: their motions, and the balance of their forces.
+"""The additional equations of a step with free rigid bodies: the balance of their forces.
 
-A body's components w, at the level where forces balance, solve M a(w) = Q(x, w) + F with the forces
-Q of what it touches and its loads F; without inertia Q + F = 0. See `Bordered`.
+The components w of a body's motion, at the level of balance, solve M a(w) = Q(x, w) + F. Here Q are
+the forces by contact, and F the loads of the body. Without inertia Q + F = 0. See `Bordered`.
 """
 
 from __future__ import annotations
@@ -15,29 +15,30 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.bodyslopes import add_slopes, add_to_body
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.bodytangent import add_body_columns, add_body_rows
+from dolfinmpm.contact.rigidbodies import RigidBodies
+from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["FreeBodies", "Inertial", "check_masses"]
 
 Array = npt.NDArray[np.float64]
-# Forces of inertia that are taken for rounding, by their parts that cancel
+# Sums of inertial forces below this share of their terms are rounding
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class Inertial:
-    """How accelerations follow from increments in a step in time.
+    """Accelerations of rigid bodies by their increments in a step in time.
 
     Attributes:
         factor: Derivative of the acceleration by the increment at the level of balance (1/s²).
-        known: The rest of it (m/s²) for velocities and accelerations at the start.
-        level: The level, as a share of the step.
-        touches_at: Share of the step where contact finds its forces.
-        weight: Weight of these in the balance.
+        known: Function from velocities and accelerations at the start to the other part of the
+            acceleration (m/s²).
+        level: Level of balance, as a share of the step.
+        touches_at: Share of the step at which contact forces are found.
+        weight: Weight of the contact forces in the balance.
     """
 
     factor: float
@@ -52,16 +53,16 @@ class FreeBodies:
 
     Args:
         bodies: The bodies of the problem.
-        tolerance: How well their forces are to balance, as a share of the largest of them.
+        tolerance: Bound of the out-of-balance force, as a share of the body's largest force.
 
     Attributes:
-        inertial: How increments make accelerations, or None in quasi-static steps.
+        inertial: Accelerations by increments, or None in quasi-static steps.
         tolerance, unmet: See `Border`.
     """
 
     unmet = "the forces on a free rigid body were not balanced"
 
-    def __init__(self, bodies: Bodies, tolerance: float):
+    def __init__(self, bodies: RigidBodies, tolerance: float):
         self.tolerance = tolerance
         self._all, self._bodies = bodies, bodies.free
         self.inertial: Inertial | None = None
@@ -70,8 +71,8 @@ class FreeBodies:
         """See `Border`. Collective."""
         self._operator = operator
 
-    def back(self) -> None:
-        """See `Border`; a prediction puts the bodies back."""
+    def reset(self) -> None:
+        """See `Border`. The prediction resets the bodies."""
 
     @property
     def _level(self) -> float:
@@ -79,11 +80,11 @@ class FreeBodies:
 
     @property
     def _put_at(self) -> float:
-        """Share of the step at whose end contact finds its forces."""
+        """Share of the step at which contact forces are found."""
         return 1.0 if self.inertial is None else self.inertial.touches_at
 
     def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
-        """The bodies go on as they move, the points' increments are none. Collective."""
+        """The bodies keep their motion, and the points' increments are zero. Collective."""
         for body in self._bodies:
             free = body.freedom
             assert free is not None
@@ -107,10 +108,10 @@ class FreeBodies:
             body.put(self._put_at)
 
     def _columns(self, nodal: Array, field: int) -> Array:
-        """Owned unknowns' entries of forces at nodes, one column each. Collective.
+        """Entries of nodal forces at the owned unknowns, by columns. Collective.
 
         Args:
-            nodal: Shape (nodes, components of the field, columns), this rank's share.
+            nodal: Forces of this rank, shape (nodes, components of the field, columns).
             field: The field.
         """
         unknowns = self._operator.here.unknowns
@@ -135,7 +136,7 @@ class FreeBodies:
             for contact in self._contacts(body):
                 shape = self._operator.increments[contact.field].shape
                 nodal = np.zeros((*shape, size))
-                add_slopes(contact, nodal)
+                add_body_columns(contact, nodal)
                 total = total + self._columns(nodal[:, :, free], contact.field)
             found.append(total)
         return np.hstack(found)
@@ -157,7 +158,7 @@ class FreeBodies:
                 touching += weight * np.concatenate([force, moment])
                 shape = self._operator.increments[contact.field].shape
                 nodal = np.zeros((*shape, size))
-                add_to_body(contact, nodal, by_y)
+                add_body_rows(contact, nodal, by_y)
                 by_x = by_x + self._columns(nodal[:, :, own], contact.field)
             by_y = comm.allreduce(by_y, op=MPI.SUM)
             t = body.time + self._level * body.dt
@@ -172,14 +173,14 @@ class FreeBodies:
                 w = self._level * free.increment
                 inertia = M @ (self.inertial.factor * w + known) + free.gyroscopic(body.start)
                 out, slope = out + inertia, slope + self.inertial.factor * M
-                # of a body that goes on as it moves what adds up to nothing
+                # the inertial forces of a body with constant velocity cancel
                 least = _ROUNDING * np.abs(M) @ np.abs(known)
             d = body.gdim
             scale = np.ones(size)
             for part in (slice(0, d), slice(d, size)):
                 sizes = [np.abs(v[part]).max() for v in (touching, external, inertia, least)]
                 scale[part] = max(sizes)
-            # moments of a body that does not turn are measured by its forces
+            # the reference of moments is at least force times half the body's extent
             reach = max(_size(body), 1e-300)
             scale[d:] = max(scale[d:].max(), scale[:d].max() * reach)
             scale[:d] = max(scale[:d].max(), 1e-300)
@@ -196,8 +197,8 @@ class FreeBodies:
         return np.concatenate(gaps), np.hstack(columns), whole
 
 
-def check_masses(bodies: Bodies) -> None:
-    """Raise ParameterError unless every free body has a mass, as steps in time need it."""
+def check_masses(bodies: RigidBodies) -> None:
+    """Raise ParameterError unless every free body has a mass."""
     for body in bodies.free:
         assert body.freedom is not None
         if body.freedom.mass is None:
@@ -208,7 +209,7 @@ def check_masses(bodies: Bodies) -> None:
 
 
 def _size(body: RigidBody) -> float:
-    """Half of the largest extent of a body (m); 1 of one without end."""
+    """Half of the largest extent of a body (m); 1 for an infinite body."""
     surface = body.surface
     if not np.isfinite(surface.low).all():
         return 1.0

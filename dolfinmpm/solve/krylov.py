@@ -1,42 +1,53 @@
-"""PETSc's solver for a method, and how far its iterations go."""
+"""PETSc's solvers for a method, and the accuracy of their iterations."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfinmpm.assembly.stencilsums import add_product
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.solve.method import SUBSTRUCTURES, Method
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.substructures import Substructures
 
-__all__ = ["DIGITS", "MOST_OF_FACTORS", "create", "keeps", "share"]
+__all__ = [
+    "DIGITS",
+    "MOST_OF_FACTORS",
+    "WithoutSoftStiffness",
+    "create",
+    "keeps",
+    "share",
+]
 
-# Share to which iterations reduce the residual: of a solution that nothing corrects, and at most
-# in an iteration of Newton's method
+# Relative residual at the end of iterations: of a solution without later correction, and the
+# largest one in an iteration of Newton's method
 DIGITS, _FIRST = 1e-10, 1e-3
-# With incomplete factors, too, a step that is less exact costs more than digits: where points begin
-# and cease to yield Newton's method may not come to its end with 1e-3. More iterations fail.
+# Incomplete factors: with 1e-3, Newton's method may not converge where points start and stop to
+# yield. More iterations than the second number are a failure.
 _FIRST_OF_INCOMPLETE, _MOST_OF_INCOMPLETE = 1e-5, 200
-# With factors of a former tangent digits are cheap, and iterations of Newton's method dear; more
-# than so many iterations are not worth the wait for new ones
+# Factors of a former tangent: digits are cheap, and iterations of Newton's method are expensive.
+# New factors cost less than more iterations than the second number.
 _FIRST_OF_FACTORS, MOST_OF_FACTORS = 1e-6, 30
 
 
 def keeps(method: Method, options: Options) -> bool:
-    """Whether a preconditioner may serve a later tangent."""
+    """Whether a preconditioner may be kept for a later tangent."""
     return method.keeps and options.get("ksp_type") != "preonly"
 
 
 def create(comm: MPI.Intracomm, method: Method, options: Options, softened: bool) -> PETSc.SNES:
-    """PETSc's solver for a method, as options leave it. Collective.
+    """PETSc's solver for a method, changed by the options of the problem. Collective.
 
     Args:
         comm: Communicator of the problem.
         method: The method.
         options: PETSc options of the problem.
-        softened: Whether the matrix has terms more than the tangent.
+        softened: Whether the matrix has soft stiffness.
     """
     options.suggest(_suggestions(method, options))
     snes = PETSc.SNES().create(comm)
@@ -46,7 +57,7 @@ def create(comm: MPI.Intracomm, method: Method, options: Options, softened: bool
     ksp.setType(method.ksp)
     if keeps(method, options):
         ksp.setTolerances(rtol=DIGITS, max_it=_MOST_OF_INCOMPLETE if method.incomplete else 500)
-        # the residual itself, as Newton's method measures it
+        # Newton's method needs the norm of the true residual
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         if method.ksp == "gmres":
             ksp.setPCSide(PETSc.PC.Side.RIGHT)
@@ -67,13 +78,13 @@ def create(comm: MPI.Intracomm, method: Method, options: Options, softened: bool
 
 
 def _suggestions(method: Method, options: Options) -> dict[str, object]:
-    """Options of a method beside those that a user has set."""
+    """Options of a method, besides the user's options."""
     own = {**method.options}
     if method.package == "cholmod":
-        # that a tangent is not definite is no news for the terminal
+        # an indefinite tangent needs no message on the terminal
         own["mat_cholmod_print"] = 0
     if keeps(method, options):
-        # only the first SNES makes a preconditioner by itself, see `Reuse`
+        # `PreconditionerReuse` decides when SNES makes a new preconditioner
         own["snes_lag_preconditioner"] = -2
     pc, package = options.get("pc_type"), options.get("pc_factor_mat_solver_type")
     if pc in ("lu", "cholesky") and package is None:
@@ -82,22 +93,22 @@ def _suggestions(method: Method, options: Options) -> dict[str, object]:
         # not every package has a Cholesky factorisation
         own["pc_type"] = "lu"
     if method.factors and method.ksp != "preonly":
-        # Newton's method corrects what is left
+        # Newton's method corrects the remaining error
         own["ksp_converged_maxits"] = True
     return own
 
 
 def share(method: Method, norm: float, former: float | None) -> float:
-    """Share to which a solution is to reduce the residual.
+    """Relative residual at which the iterations of a linear solution may end.
 
-    Iterations end where Newton's method can use no more digits: the second choice of
-    Eisenstat & Walker (1996, doi 10.1137/0917003), with a smaller first share, since small
-    increments are nearly linear.
+    More digits would not help Newton's method. This is the second choice of Eisenstat & Walker
+    (1996, doi 10.1137/0917003). The first value is smaller, because small increments are nearly
+    linear.
 
     Args:
         method: The method.
         norm: Norm of the residual (N).
-        former: Norm of the residual of the iteration before (N), or None.
+        former: Norm of the residual one Newton iteration before (N), or None.
     """
     found = _FIRST_OF_FACTORS if method.factors else _FIRST
     if method.incomplete:
@@ -105,3 +116,41 @@ def share(method: Method, norm: float, former: float | None) -> float:
     if former is not None and former > 0.0:
         found = min(found, 0.9 * (norm / former) ** (0.5 * (1 + math.sqrt(5.0))))
     return max(found, DIGITS)
+
+
+class WithoutSoftStiffness:
+    """Product of the tangent without soft stiffness, for PETSc. Collective.
+
+    The matrix with soft stiffness then only preconditions. Newton's method with soft stiffness in
+    its linear systems would hardly reduce the forces on functions with little support by points.
+
+    Args:
+        unknowns: Numbering of the unknowns.
+        blocks: The soft stiffness.
+    """
+
+    def __init__(self, unknowns: Unknowns, blocks: Sequence[Blocks]):
+        self._unknowns, self._blocks = unknowns, blocks
+        self._u, self._force = unknowns.nodal(), unknowns.nodal()
+        self._still = [u.copy() for u in self._u.arrays]
+
+    def operator(self, stiffened: PETSc.Mat) -> PETSc.Mat:
+        """The tangent without soft stiffness, as a PETSc matrix. Collective.
+
+        Args:
+            stiffened: The tangent with soft stiffness.
+        """
+        self._matrix = stiffened
+        shell = PETSc.Mat().createPython(stiffened.getSizes(), self, comm=stiffened.comm)
+        shell.setUp()
+        return shell
+
+    def mult(self, matrix, x, y) -> None:
+        """Set y to the product with x; called by PETSc. Collective."""
+        self._matrix.mult(x, y)
+        self._unknowns.clear(self._force)
+        self._unknowns.expand(x.getArray(readonly=True), self._still, self._u)
+        for blocks in self._blocks:
+            add_product(blocks, self._u.arrays, self._force.arrays)
+        self._force.add_up()
+        y.getArray()[:] -= self._unknowns.restrict(self._force.arrays)

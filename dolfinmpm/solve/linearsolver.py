@@ -1,4 +1,4 @@
-"""The linear systems of Newton's method: factors or multigrid, by what the tangent is."""
+"""The linear systems of Newton's method, by factors or by iterations."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve import krylov, schur
 from dolfinmpm.solve.method import Method, Tangent, as_used, crossover
 from dolfinmpm.solve.mumps import WORKSPACE, Mumps
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
-from dolfinmpm.solve.reuse import Reuse
+from dolfinmpm.solve.preconditionerreuse import PreconditionerReuse
 from dolfinmpm.solve.solverchoice import MethodChoice
 from dolfinmpm.solve.spectra import near_kernel
 from dolfinmpm.solve.substructures import Substructures
@@ -27,31 +27,31 @@ __all__ = ["WORKSPACE", "LinearSolver"]
 
 Array = npt.NDArray[np.float64]
 
-# PETSc's numbers for an error in an external library and for zero pivots of LU and Cholesky
+# PETSc's error codes of an external library and of zero pivots in LU and Cholesky
 _FACTORISATION = (76, 71, 81)
-# Share of a product's size that a symmetric matrix may be off by rounding
+# Bound of yᵀKx − xᵀKy by rounding, relative to the size of the products
 _SYMMETRIC = 1e-9
-# Size of increments at which symmetry is looked at, in cells
+# Size of the increments in the test of symmetry, in cells
 _NEAR = 1e-4
 
 
 class LinearSolver:
-    """SNES with its matrix and factors, kept as long as the pattern is the same.
+    """SNES with its matrix and its factors. Both are kept as long as the pattern stays.
 
     Args:
         comm: Communicator of the problem.
         gdim: Dimension of space.
-        tangent: What is known of the tangent.
+        tangent: Known properties of the tangent.
         options: PETSc options.
 
     Attributes:
         snes: The solver.
-        matrix: The matrix, or None before the first and after a failure.
-        true: The matrix that products are taken with, as PETSc sees it.
-        choice: Which method solves next.
-        method: What solves, or None before the first matrix.
-        stuck: Whether the last `solve` found nothing.
-        reuse: When a preconditioner is kept for the next tangent; None of factors that never are.
+        matrix: The matrix, or None before the first one and after a failure.
+        true: The tangent without soft stiffness, as a PETSc matrix.
+        choice: Choice of the method.
+        method: The method, or None before the first matrix.
+        stuck: Whether the last `solve` failed.
+        reuse: Decision to keep a preconditioner, or None if the method never keeps one.
     """
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
@@ -61,14 +61,14 @@ class LinearSolver:
         self.matrix: Matrix | None = None
         self.true: Any = None
         self.method: Method | None = None
-        self.reuse: Reuse | None = None
+        self.reuse: PreconditionerReuse | None = None
         self.stuck = False
-        # norm of the residual of the iteration before
+        # norm of the residual one Newton iteration before
         self._former: float | None = None
         self.snes: Any = None
 
     def in_blocks(self, count: int) -> bool:
-        """Whether so many unknowns are solved for by a method that wants a node's in a block."""
+        """Whether the method for a number of unknowns needs the unknowns of a node in a block."""
         pc = self._options.get("pc_type")
         if pc is not None:
             return pc in ("gamg", "hypre", "ml")
@@ -85,14 +85,14 @@ class LinearSolver:
 
     @property
     def used(self) -> Method | None:
-        """What solves, as options have left it; None before the first matrix."""
+        """The method with the changes by options; None before the first matrix."""
         if self.method is None or self.snes is None:
             return self.method
         return as_used(self.method, self.snes.getKSP())
 
     @property
     def iterations(self) -> list[int]:
-        """Iterations of each solution since last asked, none with factors."""
+        """Iterations of each solution since the last call; empty with factors."""
         if self.reuse is None:
             return []
         found, self.reuse.iterations = self.reuse.iterations, []
@@ -104,23 +104,26 @@ class LinearSolver:
         return self.matrix is None
 
     def attach(self, operator: Operator) -> None:
-        """Take the matrix of an operator; that of the same pattern stays. Collective."""
+        """Prepare the matrix for an operator; a matrix of the same pattern stays. Collective."""
         here = operator.here
         self._former = None
         self.choice.doubt.left = max(self.choice.doubt.left - 1, 0)
         self._choose(here.unknowns.total)
-        self._take(here)
+        self._take_matrix(here)
         if self.choice.tangent.symmetric and not self._checked:
             self._checked = True
             if not self._looks_symmetric(operator):
                 self.choice.tangent = replace(self.choice.tangent, symmetric=False)
                 self._choose(here.unknowns.total)
-                self._take(here)
+                self._take_matrix(here)
         assert self.matrix is not None
-        self.true = operator.without_soft(self.matrix)
+        self.true = self.matrix.petsc
+        if operator.soft:
+            product = krylov.WithoutSoftStiffness(here.unknowns, operator.soft)
+            self.true = product.operator(self.matrix.petsc)
 
     def _choose(self, count: int) -> None:
-        """Take the method for so many unknowns. Collective."""
+        """Choose the method for a number of unknowns. Collective."""
         choice, options = self.choice, self._options
         if self.reuse is not None:
             choice.weigh(self.reuse)
@@ -132,19 +135,19 @@ class LinearSolver:
         self.snes = krylov.create(self._comm, method, options, choice.tangent.softened)
         self.reuse = None
         if krylov.keeps(method, options):
-            self.reuse = Reuse(self._comm)
+            self.reuse = PreconditionerReuse(self._comm)
             self.reuse.watch(self._ksp)
 
-    def _take(self, here: Activation) -> None:
-        """Take the matrix of an activation. Collective."""
+    def _take_matrix(self, here: Activation) -> None:
+        """Take the matrix for an activation: the present one, or a new one. Collective."""
         kept = self.matrix is not None and self.matrix.pattern is here.pattern
-        # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
+        # a matrix of the same pattern keeps its symbolic factorisation; its creation is collective
         if self._comm.allreduce(kept, op=MPI.LAND):
             return
-        # the old matrix and its factors go before the new ones come: they are the largest
+        # old matrix and factors are freed first, because they need the most memory
         self.snes.reset()
         if self.matrix is not None:
-            # that Python lets go of it frees nothing yet on several ranks
+            # on several ranks, Python's garbage collection frees no PETSc object
             self.matrix.petsc.destroy()
         self.matrix = self.true = None
         self.matrix = Matrix(here.pattern, here.unknowns)
@@ -162,16 +165,16 @@ class LinearSolver:
             self.reuse.renew()
         made = pc.getPythonContext() if pc.getType() == "python" else None
         if isinstance(made, Substructures) and not made.pays(A):
-            self.choice.parts = "too many unknowns between the ranks"
+            self.choice.no_substructures = "too many unknowns between the ranks"
             self._choose(here.unknowns.total)
-            self._take(here)
+            self._take_matrix(here)
 
     def _looks_symmetric(self, operator: Operator) -> bool:
         """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective."""
         assert self.matrix is not None
         random = np.random.default_rng(operator.here.unknowns.comm.rank)
         n, scale = operator.here.unknowns.owned, _NEAR * smallest_height(operator.form.points.grid)
-        # a state that differs everywhere from one without strain, where more is symmetric
+        # without strain, some unsymmetric tangents are symmetric
         operator.move(scale * random.uniform(-1, 1, n))
         operator.tangent(self.matrix)
         x, y, Kx, Ky = (self.vector() for _ in range(4))
@@ -183,11 +186,11 @@ class LinearSolver:
         return abs(y.dot(Kx) - x.dot(Ky)) <= _SYMMETRIC * size
 
     def relax(self) -> bool:
-        """Ask less of a tangent after a failure; returns whether there was less to ask.
+        """Choose a more robust method after a failure; returns whether there is one.
 
-        A tangent that is not positive definite, as past a limit point, or on which multigrid
-        does not converge, is no end: factors with pivots of both signs solve it. For a while
-        nothing else is tried, longer each time.
+        A tangent may be indefinite, such as beyond a limit point, or multigrid may not converge.
+        Factors with pivots of both signs then solve the system. Other methods are left out for
+        some time, longer each time.
         """
         method = self.method
         assert method is not None
@@ -200,11 +203,11 @@ class LinearSolver:
         return True
 
     def assembled(self, norm: float, enough: float) -> None:
-        """Make ready for a tangent that has been assembled. Collective.
+        """Prepare the solution with a new tangent. Collective.
 
         Args:
-            norm: Norm of the residual to be reduced (N).
-            enough: Norm of a residual that need not be reduced any further (N).
+            norm: Norm of the residual (N).
+            enough: Norm of the residual at which the solution may end (N).
         """
         method = self.method
         if self.reuse is None or method is None:
@@ -217,12 +220,12 @@ class LinearSolver:
         if method.factors:
             ksp.setTolerances(max_it=krylov.MOST_OF_FACTORS)
         if method.incomplete:
-            # new ones cost about what iterations with old ones do, which may be many of a sudden
+            # new incomplete factors are cheap; old ones may suddenly need many iterations
             self.reuse.renew()
         self._prepare()
 
     def _prepare(self) -> None:
-        """Keep or renew the preconditioner for the matrix as it is. Collective."""
+        """Keep or renew the preconditioner for the present matrix. Collective."""
         assert self.matrix is not None
         ksp, A = self._ksp, self.matrix.petsc
         ksp.setOperators(self.true, A)
@@ -239,7 +242,7 @@ class LinearSolver:
         return self.matrix.petsc.createVecRight()
 
     def solve(self, right: Array) -> Array:
-        """Solve with the tangent that was assembled last. Collective.
+        """Solve with the last assembled tangent. Collective.
 
         Args:
             right: Right-hand side, shape (owned,).
@@ -250,7 +253,7 @@ class LinearSolver:
         if self.reuse is not None and method is not None:
             ksp.setTolerances(rtol=krylov.DIGITS, atol=1e-300)
             if method.factors or method.incomplete:
-                # the next right-hand side is of the same matrix, and asks for all digits
+                # later right-hand sides of the same matrix need all digits, too
                 self.reuse.renew()
         self._prepare()
         ksp.solve(b, y)
@@ -258,15 +261,15 @@ class LinearSolver:
         return np.array(y.getArray(readonly=True))
 
     def forget(self) -> None:
-        """Begin anew after a failure: what PETSc was in the middle of cannot be gone on with."""
+        """Discard the solver after a failure, because PETSc cannot continue with it."""
         self.snes = self.matrix = self.true = None
 
     def warn_of_unread_options(self) -> None:
-        """See `Options`; once a problem has been solved."""
+        """Warn of options that PETSc has not read, see `Options`."""
         self._options.warn_of_unread(self._comm)
 
     def why(self, error: PETSc.Error) -> str:
-        """Why it failed, if that is no fault of the program; else raises what it is."""
+        """Reason of a failed factorisation; other errors are raised again."""
         self.forget()
         cause = error.__cause__
         if cause is not None and not isinstance(cause, PETSc.Error):
@@ -276,6 +279,6 @@ class LinearSolver:
         return "the linear solver failed: the tangent is singular"
 
     def enlarge(self) -> bool:
-        """Give MUMPS more workspace if it ended for want of it; returns whether. Collective."""
+        """Give MUMPS more workspace if it had too little; returns whether it did. Collective."""
         assert self.matrix is not None
         return self._mumps.enlarge(self._ksp, self.matrix.petsc)

@@ -1,4 +1,4 @@
-"""The load factor of an arc-length step, and the equation that closes it."""
+"""The load factor of an arc-length step, and the equation for it."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ __all__ = ["Constraint", "LoadFactor"]
 
 
 class LoadFactor:
-    """The load factor λ and the constants that it multiplies.
+    """The load factor λ, and the constants multiplied by it.
 
     Args:
         form: Weak form that contains the constants.
         grid: Background grid.
         constants: DOLFINx constants; their present values are the load at λ = 1.
-        factor: λ at first.
+        factor: First λ.
 
     Raises:
         ParameterError: There is no constant, a constant is invalid, or all constants are zero.
-        FormError: The form does not contain them.
+        FormError: The form does not contain a constant.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class LoadFactor:
             )
         if len({id(c) for c in constants}) < len(constants):
             raise ParameterError(
-                "load has a constant twice, whose load would count twice; give each once"
+                "load has a constant twice, so its load would count twice; give each once"
             )
         if not math.isfinite(factor):
             raise ParameterError(f"factor = {factor} must be finite")
@@ -59,7 +59,7 @@ class LoadFactor:
         self.derivative = self._derive(form, grid)
 
     def _derive(self, form: ufl.Form, grid) -> ufl.Form:
-        """∂(form)/∂λ, where the constants are λ times what they are now."""
+        """∂(form)/∂λ, with constants equal to λ times their present values."""
         factor = ufl.variable(self._factor)
         scaled = {
             c: factor * fem.Constant(grid, r) for c, r in zip(self.constants, self._reference)
@@ -76,7 +76,7 @@ class LoadFactor:
 
     @property
     def value(self) -> float:
-        """λ now."""
+        """The present λ."""
         return float(self._factor.value)
 
     def describe(self) -> str:
@@ -85,7 +85,7 @@ class LoadFactor:
         return " and ".join(f"({value})" for value in values)
 
     def set(self, factor: float) -> None:
-        """Set λ, and with it the constants."""
+        """Set λ and the constants."""
         self._factor.value = factor
         for constant, reference in zip(self.constants, self._reference):
             constant.value = factor * reference
@@ -107,13 +107,12 @@ def _check_load(form: ufl.Form, constants: Sequence[fem.Constant]) -> None:
 
 
 class Constraint:
-    """The equation that closes an arc-length step.
+    """The additional equation of an arc-length step.
 
-    Spherical: ⟨Δu, Δu⟩ + ψ² Δλ² = ℓ², cylindrical: the same with ψ = 0 (Crisfield 1981,
-    doi 10.1016/0045-7949(81)90108-5), where ⟨a, b⟩ = Σ V0 a_p·b_p / Σ V0 is a mean over
-    the material points: nodes of cut cells that next to nothing holds have no part in
-    it, and it does not change with the grid. ψ is ‖du/dλ‖ in the first step. A linear
-    form c(v) instead closes it by c(Δu) = ℓ: displacement control.
+    Spherical: ⟨Δu, Δu⟩ + ψ² Δλ² = ℓ². Cylindrical: the same with ψ = 0 (Crisfield 1981, doi
+    10.1016/0045-7949(81)90108-5). ⟨a, b⟩ = Σ V0 a_p·b_p / Σ V0 is a mean over the material points.
+    So it does not depend on the grid, nor on nodes of cut cells with little support by points. ψ is
+    ‖du/dλ‖ in the first step. Displacement control has a linear form c(v) instead: c(Δu) = ℓ.
 
     Args:
         control: "spherical", "cylindrical" or a form over the points, linear in the test
@@ -123,8 +122,7 @@ class Constraint:
         points: Material points.
 
     Raises:
-        ParameterError: The control is not known.
-        FormError: The form contains the increment or other than points.
+        ParameterError: The control is unknown.
     """
 
     def __init__(self, control: str | ufl.Form, u, v, points: MaterialPoints):

@@ -1,4 +1,4 @@
-"""Loads of a step: DOLFINx constants and functions on their way to new values."""
+"""Loads of a step: DOLFINx constants and functions between their old and new values."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ __all__ = ["Loads", "check_loads", "load_name", "loads_of"]
 
 
 class Loads:
-    """The constants and functions of a form, between the last converged step and the next.
+    """The constants and functions of a form that carry loads.
 
-    The user sets them to what the next step is to reach. A part of a step takes
-    them that part of the way.
+    The user sets them to their values at the end of the next step. In a substep they have a share
+    of the change since the last converged step.
+
+    Args:
+        items: Constants and functions; repeated ones count once.
+        increments: The unknown functions, which carry no load.
 
     Attributes:
         items: The constants and functions.
-        change: How much each changed in the step that was last looked at, see `jumps`.
-
-    Args:
-        items: Constants and functions; each is taken once.
-        increments: Functions that are solved for and carry no load.
+        change: Change of each in the step of the last call of `jumps`.
     """
 
     def __init__(self, items: Sequence[Any], increments: Sequence[fem.Function]):
@@ -42,10 +42,10 @@ class Loads:
         for item in items:
             if not any(item is known for known in (*self.items, *increments)):
                 self.items.append(item)
-        held = self._read()
+        values = self._read()
         known = [reached(item) for item in self.items]
-        self._start = [h if k is None else np.array(k) for h, k in zip(held, known)]
-        self._target = held
+        self._start = [v if k is None else np.array(k) for v, k in zip(values, known)]
+        self._target = values
         self.change: list[float] = []
 
     @staticmethod
@@ -55,17 +55,17 @@ class Loads:
     def _read(self) -> list[npt.NDArray[np.float64]]:
         return [np.array(self._array(item), copy=True) for item in self.items]
 
-    def aim(self) -> None:
-        """Take the present values as those to reach."""
+    def set_target(self) -> None:
+        """Take the present values as the values at the end of the step."""
         self._target = self._read()
 
     def set(self, share: float) -> None:
-        """Set the values at that share of the way."""
+        """Set the values at a share of the step."""
         for item, start, target in zip(self.items, self._start, self._target):
             self._array(item)[...] = target if share >= 1 else start + share * (target - start)
 
-    def release(self) -> None:
-        """Take the present values as those of a converged state."""
+    def accept(self) -> None:
+        """Take the present values as the values of a converged state."""
         self._start = self._read()
         for item in self.items:
             take_reached(item)
@@ -75,7 +75,7 @@ class Loads:
         return list(zip(self.items, self._start))
 
     def state(self) -> dict[str, Any]:
-        """The values of the last converged state, functions by cells; and the last change."""
+        """Values of the last converged state, of functions per cell, and the last change."""
         found: dict[str, Any] = {"change": np.array(self.change)}
         for k, (item, value) in enumerate(self.converged()):
             function = isinstance(item, fem.Function)
@@ -83,21 +83,21 @@ class Loads:
         return found
 
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Take what `state` returned. Collective."""
+        """Restore a state returned by `state`. Collective."""
         for k, (item, _) in enumerate(self.converged()):
             own = values[f"load {k}"]
             if isinstance(own, OfCells):
                 set_values(item, own.values)
             else:
                 item.value = own
-        self.release()
+        self.accept()
         self.change = values["change"].tolist()
 
     def jumps(self) -> bool:
-        """Whether a load jumps from the last converged state to what is set now.
+        """Whether a load jumps between the last converged state and its present value.
 
-        It does where it changes by more than half of the larger of the two values, and
-        changed by less than a tenth of that in the step before.
+        A load jumps if it changes by more than half of the larger of the two values, and the
+        change in the step before was less than a tenth of this change.
         """
         before, self.change = self.change, []
         jumped = False
@@ -119,14 +119,14 @@ class Loads:
 
 
 def loads_of(items: Iterable[Any]) -> list[Any]:
-    """Constants and functions of a form without those that the library put there."""
+    """Constants and functions of a form, without the library's own."""
     return [item for item in items if not is_own(item)]
 
 
 def load_name(item: Any) -> str:
-    """What messages call a constant or a function: its `name`, if the user gave it one.
+    """Name of a constant or a function in messages: its `name`, if the user gave one.
 
-    A constant of DOLFINx has none, but takes one: `gravity.name = "gravity"`.
+    A DOLFINx constant has no name, but accepts one: `gravity.name = "gravity"`.
     """
     return str(getattr(item, "name", None) or item)
 
@@ -138,12 +138,12 @@ def check_loads(
 
     Args:
         items: Constants and functions of the form.
-        form: The form; messages have the term that the load stands in.
+        form: The form; the message names the term with the load.
         bcs: Essential conditions.
         comm: The ranks.
 
     Raises:
-        ParameterError: One is not; the message has its name, its value and its term.
+        ParameterError: A value is not finite; the message has its name, value and term.
     """
     error: Exception | None = None
     for item in items:
@@ -166,7 +166,7 @@ def check_loads(
 
 
 def _where(item: Any, form: ufl.Form) -> str:
-    """The first term that an item stands in, for messages."""
+    """The first term that contains a constant or function, for messages."""
     for integral in form.integrals():
         integrand = integral.integrand()
         terms = [integrand]

@@ -1,4 +1,4 @@
-"""Which method solves the linear systems of a problem, from what the tangent is."""
+"""The method for the linear systems of a problem, by the properties of the tangent."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ __all__ = [
     "symmetric",
 ]
 
-# From so many unknowns on conjugate gradients with multigrid beat factors, by dimension of space;
-# measured on blocks of elastic soil (docs/benchmarks.md). Functions wider than two cells make rows
-# four times as long, which iterations feel more than factors.
+# Number of unknowns from which conjugate gradients with multigrid are faster than factors, by
+# dimension of space, measured on blocks of elastic soil (docs/benchmarks.md). Functions wider than
+# two cells make rows four times as long. This costs iterations more than factors.
 _CROSSOVER = {1: 10**9, 2: 250_000, 3: 9_000}
 _CROSSOVER_OF_WIDE = {1: 10**9, 2: 250_000, 3: 60_000}
 
-# From so many unknowns on it is looked at whether factors are worth keeping for the next tangent,
-# as preconditioners, or whether incomplete ones do: below they cost less than the looking.
+# Number of unknowns from which factors may be kept for the next tangent, or incomplete factors may
+# be tried. Below this number the decision costs more than new factors.
 _KEPT = {1: 10**9, 2: 4_000, 3: 2_000}
 
 # Smoothed aggregation (Vaněk, Mandel & Brezina 1996, doi 10.1007/BF02238511) on blocks with
-# rigid modes. Squaring the graph once makes coarse levels small, and couplings below the
+# rigid modes. The graph is squared once, which makes coarse levels small. Couplings below the
 # threshold do not aggregate.
 _MULTIGRID = {
     "pc_gamg_type": "agg",
@@ -42,17 +42,17 @@ _MULTIGRID = {
     "mg_levels_pc_type": "jacobi",
 }
 
-# In 3D functions wider than two cells overlap so much that Jacobi's smoothing leaves what
-# oscillates: cycles with Gauss–Seidel need a tenth of the iterations. Rows are long, and none is
-# dropped. In 2D they need half of them, and take longer.
+# Wide functions in 3D overlap so much that Jacobi's method does not smooth oscillations. Cycles
+# with Gauss–Seidel need a tenth of the iterations. Rows are long, and no coupling is dropped. In 2D
+# Gauss–Seidel needs half of the iterations, but more time.
 _MULTIGRID_OF_WIDE = {**_MULTIGRID, "mg_levels_pc_type": "sor", "pc_gamg_threshold": 0.0}
 
 
-# Of a displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle
-# of multigrid for each block (White & Borja 2011, doi 10.1007/s10596-011-9233-7). What stands for S
-# is told by `dolfinmpm.solve.schur`; its multigrid smooths by incomplete factors, since cycles with
-# Jacobi or Gauss–Seidel need two to three times the iterations as soon as the body cuts cells, and
-# without the true S, each product with which is a cycle for the first block.
+# A displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle of
+# multigrid per block (White & Borja 2011, doi 10.1007/s10596-011-9233-7). `dolfinmpm.solve.schur`
+# approximates S. Incomplete factors smooth in the multigrid of S: with Jacobi or Gauss–Seidel, cut
+# cells need two to three times the iterations. Products use the approximate S, because a product
+# with the true S needs a cycle for the first block.
 _BLOCKS = {
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
@@ -69,25 +69,25 @@ _BLOCKS = {
 }
 
 
-# CHOLMOD is for one rank; this is what it is used by on several, one substructure a rank
+# Factors by CHOLMOD on several ranks, with one substructure per rank
 SUBSTRUCTURES = "substructures"
 _NAMES = {SUBSTRUCTURES: "CHOLMOD in substructures"}
-# PETSc's names of what makes factors
+# PETSc's names of factorisations
 _FACTORISE = ("lu", "cholesky")
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """What is known of a tangent.
+    """Known properties of a tangent.
 
     Attributes:
-        symmetric: Whether it is symmetric.
-        definite: Whether it is to be taken for positive definite if it is symmetric.
-        softened: Whether its matrix has terms more, so that it only preconditions.
+        symmetric: Whether the tangent is symmetric.
+        definite: Whether a symmetric tangent counts as positive definite.
+        softened: Whether the matrix also has soft stiffness, and so only preconditions.
         fields: Number of fields.
-        porous: Whether they are a displacement and a scalar.
-        wide: Whether functions of the displacement are wider than two cells, as splines' are, or
-            averaged over domains, as those of GIMP.
+        porous: Whether the fields are a displacement and a scalar.
+        wide: Whether functions of the displacement are wider than two cells (splines), or averaged
+            over domains (GIMP).
     """
 
     symmetric: bool
@@ -103,10 +103,10 @@ class Method:
     """A linear solver.
 
     Attributes:
-        ksp, pc, package: PETSc's names; the package only of factors, `SUBSTRUCTURES` for those of
+        ksp, pc, package: PETSc's names. Only factors have a package; it is `SUBSTRUCTURES` for
             `dolfinmpm.solve.substructures`.
-        why: What was known of the tangent.
-        keeps: Whether what it makes of a tangent may serve a later one, as a preconditioner.
+        why: Reason of the choice, in words.
+        keeps: Whether the preconditioner may be kept for a later tangent.
         options: Further PETSc options by name, without prefix.
     """
 
@@ -119,22 +119,22 @@ class Method:
 
     @property
     def factors(self) -> bool:
-        """Whether it factorises."""
+        """Whether the method factorises the tangent."""
         return self.pc in _FACTORISE
 
     @property
     def incomplete(self) -> bool:
-        """Whether it is preconditioned by incomplete factors."""
+        """Whether incomplete factors precondition."""
         return self.pc in ("ilu", "bjacobi")
 
     def like(self, other: Method) -> bool:
-        """Whether it is the same but for what was known."""
+        """Whether another method is the same, perhaps for another reason."""
         return (self.ksp, self.pc, self.package) == (other.ksp, other.pc, other.package)
 
     def __str__(self) -> str:
         name = {
             "lu": "LU", "cholesky": "Cholesky", "gamg": "GAMG", "ilu": "incomplete LU",
-            "bjacobi": "incomplete LU of each rank",
+            "bjacobi": "incomplete LU per rank",
         }.get(self.pc, self.pc)  # fmt: skip
         package = f" by {_NAMES.get(self.package, self.package.upper())}" if self.package else ""
         outer = "" if self.ksp == "preonly" else f"{self.ksp.upper()} with "
@@ -142,16 +142,16 @@ class Method:
 
 
 def as_used(method: Method, ksp: PETSc.KSP) -> Method:
-    """The method as options have left it, for reports.
+    """The method with the changes by options, for reports.
 
     Args:
-        method: What was chosen.
-        ksp: PETSc's solver, after it has read the options.
+        method: The chosen method.
+        ksp: PETSc's solver after it has read the options.
     """
     pc = ksp.getPC()
     kind = pc.getType()
     if kind == "python":
-        # factors of substructures
+        # PETSc calls factors of substructures "python"
         kind = method.pc
     package = pc.getFactorSolverType() if kind in _FACTORISE and pc.getType() == kind else None
     if package is None and kind == method.pc:
@@ -161,10 +161,10 @@ def as_used(method: Method, ksp: PETSc.KSP) -> Method:
 
 
 def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:
-    """Whether internal forces are those of momentum terms, so that the points' stress gives them.
+    """Whether momentum terms alone make the internal forces, so that the points' stress gives them.
 
-    Terms that vanish where there is no increment, such as penalties on it, do not count, nor do
-    contacts, which are no integrals over the points.
+    Penalties on the increment do not count, because they vanish for zero increments. Contacts do
+    not count, because they are no integrals over the points.
 
     Args:
         form: The weak form.
@@ -186,10 +186,10 @@ def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:
 
 
 def symmetric(form: WeakForm) -> bool:
-    """Whether the laws of a form say that its tangent is symmetric.
+    """Whether the tangent of a form is symmetric, by its laws and terms.
 
-    They do if nothing else depends on the increment, such as pressure that follows a surface,
-    which has no say as long as it is zero. Terms over the grid are linear and show in any tangent.
+    No other term may depend on the increment, such as a follower pressure. (A follower pressure of
+    zero would pass a test of the matrix.) Terms over the grid are linear: any tangent shows them.
     """
     laws = form.parts.declarations
     if not all(term.symmetric for term in form.terms):
@@ -200,7 +200,7 @@ def symmetric(form: WeakForm) -> bool:
 
 
 def crossover(tangent: Tangent, gdim: int) -> int:
-    """From how many unknowns on iterations are faster than factors."""
+    """Number of unknowns from which iterations are faster than factors."""
     return (_CROSSOVER_OF_WIDE if tangent.wide and tangent.fields == 1 else _CROSSOVER)[gdim]
 
 
@@ -216,17 +216,17 @@ def choose(
     """The method for a tangent.
 
     Incomplete factors without fill (Meijerink & van der Vorst 1977, doi
-    10.1090/S0025-5718-1977-0438681-4) cost a tenth of factors where few iterations do with them,
-    as where inertia weighs; `dolfinmpm.solve.solverchoice` tells where they do not.
+    10.1090/S0025-5718-1977-0438681-4) cost a tenth of factors if few iterations are enough, such
+    as with much inertia. `dolfinmpm.solve.solverchoice` finds out whether they are enough.
 
     Args:
-        tangent: What is known of it.
+        tangent: Known properties of the tangent.
         count: Unknowns on all ranks.
         gdim: Dimension of space.
         ranks: Number of ranks.
-        direct: Whether only factors are left, because iterations have failed.
-        incomplete: Whether incomplete factors may precondition it if it is unsymmetric.
-        substructures: Whether several ranks may factorise a substructure each.
+        direct: Whether only factors remain, because iterations have failed.
+        incomplete: Whether incomplete factors may precondition an unsymmetric tangent.
+        substructures: Whether each of several ranks may factorise a substructure.
     """
     kind = "symmetric" if tangent.symmetric else "unsymmetric"
     if tangent.symmetric and tangent.definite:
@@ -257,7 +257,7 @@ def choose(
     ksp = "gmres" if tangent.softened else "preonly"
     keeps = count >= _KEPT[gdim] and not tangent.softened
     if keeps:
-        # Krylov's methods need one iteration with the factors of the very matrix
+        # with new factors a Krylov method needs one iteration
         ksp = "cg" if tangent.symmetric and tangent.definite else "gmres"
     if not tangent.symmetric:
         return Method(ksp, "lu", "mumps", why, keeps)

@@ -1,4 +1,4 @@
-"""Settings of MUMPS, and more workspace where a factorisation ends for want of it."""
+"""Settings of MUMPS, and more workspace after a factorisation without enough workspace."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dolfinmpm.solve.options import Options
 
 __all__ = ["WORKSPACE", "Mumps"]
 
-# MUMPS's numbers for settings, and for ends for want of integer, real and send workspace
+# MUMPS's numbers of settings, and its errors about too little integer, real and send workspace
 _ORDERING, WORKSPACE = 7, 14
 _SHORT_OF_WORKSPACE = (-8, -9, -17)
 
@@ -30,7 +30,7 @@ class Mumps:
         self.settings = {_ORDERING: 2} if gdim < 3 else {}
 
     def apply(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
-        """Create MUMPS's factors with the settings that no option sets. Collective."""
+        """Create MUMPS's factors with the settings, unless options set them. Collective."""
         settings = {k: v for k, v in self.settings.items() if not self._given(k)}
         if not (_solves(ksp) and settings and A.getSize()[0]):
             return
@@ -40,11 +40,14 @@ class Mumps:
             ksp.getPC().getFactorMatrix().setMumpsIcntl(number, value)
 
     def enlarge(self, ksp: PETSc.KSP, A: PETSc.Mat) -> bool:
-        """Double the workspace if the last factorisation ended for want of it. Collective.
+        """Double the workspace if the last factorisation had too little. Collective.
 
-        Returns whether it did, with new factors, because those that failed fail again. A
-        plastic tangent near a limit load needs pivots off the diagonal. These fill in more than
-        the 20 % beyond its forecast that MUMPS has room for.
+        A plastic tangent near a limit load needs pivots off the diagonal. They fill in more than
+        the 20 % that MUMPS adds to its forecast. The factors are made anew, because failed factors
+        would fail again.
+
+        Returns:
+            Whether the workspace was doubled.
         """
         if not _solves(ksp) or self._given(WORKSPACE):
             return False

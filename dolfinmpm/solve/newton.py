@@ -1,4 +1,4 @@
-"""Newton's method for an operator: PETSc's SNES on the active unknowns."""
+"""Newton's method for the equations of a step: PETSc's SNES on the active unknowns."""
 
 from __future__ import annotations
 
@@ -15,29 +15,33 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform.compat import DIVERGED_NAN
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.solve.guess import Guess
+from dolfinmpm.solve.initialguess import InitialGuess
 from dolfinmpm.solve.linearsolver import LinearSolver
-from dolfinmpm.solve.linesearch import SEARCHES, name_of, set_search
 from dolfinmpm.solve.method import Tangent
 from dolfinmpm.solve.operator import Operator, Residual
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.secants import Secants
 
-__all__ = ["Newton", "Outcome", "Solver"]
+__all__ = ["ConvergenceTest", "Newton", "Outcome", "Solver", "name_of"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
+_REASONS = {v: k for k, v in vars(Reason).items() if isinstance(v, int)}
+# Line searches in the order of their trial: full steps, then critical points of the residual's
+# component along the step, which end cycles between two states
+SEARCHES = ("basic", "cp")
+_SEARCH_OPTION = "snes_linesearch_type"
 
 
 @dataclass
 class Outcome:
-    """What a solver found.
+    """The result of a nonlinear solver.
 
     Attributes:
-        reason: Why it did not converge, or None.
+        reason: Reason of a failure, or None.
         x: The owned unknowns, shape (owned,).
-        iterations: Newton iterations, those of failed attempts included; a linear step that
-            predicts the increment counts as one.
+        iterations: Newton iterations, with those of failed attempts. A linear predictor counts as
+            one iteration.
         residuals: Relative out-of-balance force before and after each iteration.
     """
 
@@ -48,85 +52,85 @@ class Outcome:
 
 
 class Solver(Protocol):
-    """What a step asks to solve an operator's equations."""
+    """Protocol of the nonlinear solvers of a step."""
 
     def solve(self, operator: Operator) -> Outcome:
-        """Find the increments; leaves the operator moved to them. Collective."""
+        """Find the increments; the operator then has them. Collective."""
 
 
-# Share of the tolerance to which a linear solution need not be better
+# Linear solutions need not be better than this share of the tolerance
 _SPARE = 0.3
 
 
 class ConvergenceTest:
-    """When forces balance: the measure of Newton's iterations.
+    """Convergence criterion of Newton's method: the relative out-of-balance force.
 
     Args:
-        tolerance: Share of the reference to reach.
-        most: Iterations allowed.
+        tolerance: Bound of the relative out-of-balance force.
+        max_iterations: Iterations allowed.
 
     Attributes:
         residuals: Relative out-of-balance forces so far.
-        motion: Norm of the forces that the prescribed motion, or that of a tool, alone would make.
-        predicted: Whether a linear step has been taken, whose tangent is known.
-        guessed: Whether it begins from increments that are not those of a linear step.
+        motion: Norm of the forces that prescribed motions alone would make.
+        predicted: Whether a linear step was taken first, so that a tangent is known.
+        guessed: Whether the iterations start from increments that no linear step made.
     """
 
-    def __init__(self, tolerance: float, most: int):
-        self.tolerance, self.most = tolerance, most
+    def __init__(self, tolerance: float, max_iterations: int):
+        self.tolerance, self.max_iterations = tolerance, max_iterations
         self.residuals: list[float] = []
         self.motion, self.predicted, self.guessed = 0.0, False, False
         self._first = 0.0
 
     def test(
-        self, norm: float, reference: float, iteration: int, parts: Array | None = None
+        self, norm: float, reference: float, iteration: int, by_field: Array | None = None
     ) -> int:
-        """SNES's reason to go on or to end.
+        """Reason of SNES to continue or to end.
 
         Args:
-            norm: Norm of the forces out of balance.
+            norm: Norm of the out-of-balance force.
             reference: Norm of external forces and reactions.
             iteration: Number of the iteration, from 0.
-            parts: Norm and reference of each field, whose units differ, shape (fields, 2); None
-                if there is one, or if references are not known yet.
+            by_field: Norm and reference per field, shape (fields, 2), because units differ between
+                fields. None for a single field, or before the references are known.
         """
         if not math.isfinite(norm):
             return DIVERGED_NAN
         if iteration == 0 and not self.guessed:
             self._first = norm
-        # a body that is unloaded ends without loads and reactions to measure against
+        # an unloaded body has no loads and reactions to compare with at the end
         reference = max(reference, self._first, self.motion)
         relative = norm / reference if reference else 0.0
-        for one, own in parts if parts is not None else ():
+        for one, own in by_field if by_field is not None else ():
             relative = max(relative, one / own if own else 0.0)
         self.residuals.append(float(relative))
         if relative <= self.tolerance:
             return Reason.CONVERGED_FNORM_RELATIVE
-        return Reason.DIVERGED_MAX_IT if iteration >= self.most else Reason.ITERATING
+        return Reason.DIVERGED_MAX_IT if iteration >= self.max_iterations else Reason.ITERATING
 
 
 class Newton:
-    """Newton's method with two line searches, the second where the first fails.
+    """Newton's method with two line searches: the second is tried after the first has failed.
 
-    Newton's method may cycle or overshoot where points begin and cease to yield. It then
-    starts again with the other line search, and begins with that the next time. Where rigid bodies
-    touch it looks for the share of each step by `Secants`, and begins from the last step's
-    increments, or from rest where that leads nowhere.
+    Newton's method may cycle or overshoot where points start or stop to yield. It then starts
+    again with the other line search, and uses this line search first from then on. In contact with
+    rigid bodies, `Secants` finds the length of each Newton step. The increments of the last step
+    are then the first guess; if they fail, zero increments are.
 
     Args:
         comm: Communicator of the problem.
         gdim: Dimension of space.
-        tangent: What is known of the tangent.
+        tangent: Known properties of the tangent.
         options: PETSc options.
-        tolerance: Relative out-of-balance force to reach.
+        tolerance: Bound of the relative out-of-balance force.
         max_iterations: Newton iterations allowed.
 
     Attributes:
         linear: The linear solver.
         tolerance, max_iterations: The arguments.
-        search: The line search to begin with.
-        searches: All that are tried; none where the user has chosen one.
-        guess: The increments that the last step found, where rigid bodies touch.
+        search: The line search that is tried first.
+        searches: All line searches that are tried; none if the user has chosen one.
+        guess: The increments of the last step, for problems with contact.
     """
 
     def __init__(
@@ -140,18 +144,18 @@ class Newton:
     ):
         self._comm, self._gdim, self._tangent, self._options = comm, gdim, tangent, options
         self.tolerance, self.max_iterations = tolerance, max_iterations
-        chosen = options.has("snes_linesearch_type")
+        chosen = options.has(_SEARCH_OPTION)
         self.searches: Sequence[str] = () if chosen else SEARCHES
         self.search = SEARCHES[0]
         self._set: tuple[PETSc.SNES | None, str] = None, ""
         self.linear = LinearSolver(comm, gdim, tangent, options)
-        self.guess = Guess()
+        self.guess = InitialGuess()
 
     def anew(self, softened: bool = False) -> Newton:
-        """The same with nothing learnt yet.
+        """A new solver with the same arguments, without the experience of this one.
 
         Args:
-            softened: Whether the matrix of its equations has terms more than their tangent.
+            softened: Whether the matrix gets soft stiffness that the forces lack.
         """
         tangent = replace(self._tangent, softened=softened or self._tangent.softened)
         limits = self.tolerance, self.max_iterations
@@ -160,38 +164,35 @@ class Newton:
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments; see `Solver`. Collective."""
         outcome = Outcome()
-        if self._pushed(operator):
-            self._touch(operator, outcome)
-            return outcome
-        self._attempt(operator, outcome)
-        for search in [s for s in self.searches if s != self.search]:
-            # no line search helps where the linear solver failed
+        contact = self._in_contact(operator)
+        guess = self.guess.on(operator) if contact and not operator.here.driven else None
+        self._attempt(operator, outcome, guess)
+        others = [s for s in self.searches if s != self.search]
+        if contact:
+            # secants replace the line searches; only the first guess can change
+            others = [self.search] if guess is not None else []
+        for search in others:
+            # no line search helps after the linear solver has failed
             if outcome.reason is None or self.linear.failed:
                 break
             self.search = search
             self._attempt(operator, outcome)
+        if contact and outcome.reason is None:
+            self.guess.keep(operator)
         return outcome
 
-    def _pushed(self, operator: Operator) -> bool:
-        """Whether rigid bodies touch, and each step does work: all unknowns are displacements.
+    def _in_contact(self, operator: Operator) -> bool:
+        """Whether secants apply: contact with rigid bodies, and displacements as only unknowns.
 
-        Where some are pressures the component of the residual along a step is forces by
-        displacements less volumes by pressures, which says nothing of how long it should be.
+        With pressures among the unknowns, the component of the residual along a step mixes work
+        with volumes times pressures. This component tells nothing about the length of the step.
         """
         here = operator.here
-        return operator.pushed and bool(self.searches) and len(here.movers) == len(here.fields)
-
-    def _touch(self, operator: Operator, outcome: Outcome) -> None:
-        """Solve where rigid bodies touch: from the last increments, then from rest. Collective."""
-        guess = None if operator.here.driven else self.guess.on(operator)
-        self._attempt(operator, outcome, guess)
-        if guess is not None and outcome.reason is not None and not self.linear.failed:
-            self._attempt(operator, outcome)
-        if outcome.reason is None:
-            self.guess.keep(operator)
+        displacements = len(here.movers) == len(here.fields)
+        return operator.has_rigid_contact and bool(self.searches) and displacements
 
     def _attempt(self, operator: Operator, outcome: Outcome, guess: Array | None = None) -> None:
-        """One run of SNES, from a guess of the unknowns or from rest. Collective."""
+        """One run of SNES, from a guess of the unknowns or from zero. Collective."""
         unknowns, linear = operator.here.unknowns, self.linear
         balance = ConvergenceTest(self.tolerance, self.max_iterations)
         outcome.residuals, outcome.reason = balance.residuals, None
@@ -205,136 +206,148 @@ class Newton:
                 outcome.x = self._predict(operator, balance)
                 outcome.iterations += 1
             elif guess is not None:
-                # forces count as out of balance by the same measure wherever it begins
+                # the measure of the out-of-balance force must not depend on the first guess
                 balance.motion = operator.residual(outcome.x).norm
                 balance.guessed, outcome.x = True, guess.copy()
-            reason, iterations = self._run(operator, balance, outcome.x)
+            snes, x = self._prepared(operator, balance), linear.vector()
+            x.getArray()[:] = outcome.x
+            snes.solve(None, x)
+            outcome.x[:] = x.getArray(readonly=True)
         except PETSc.Error as error:
             outcome.reason = linear.why(error)
             if linear.relax():
                 self._attempt(operator, outcome, guess)
             return
-        outcome.iterations += iterations
+        reason = snes.getConvergedReason()
+        outcome.iterations += snes.getIterationNumber()
         if reason == Reason.DIVERGED_LINEAR_SOLVE:
             if linear.enlarge() or linear.relax():
                 self._attempt(operator, outcome, guess)
                 return
-            # factors that failed fail again, whatever the matrix: begin anew
+            # factors that failed fail again with any matrix: the next solution needs new ones
             linear.forget()
         if reason <= 0:
             outcome.reason = name_of(reason)
         elif not balance.residuals or balance.residuals[-1] > self.tolerance:
-            # SNES has criteria of its own; only the out-of-balance force counts
+            # SNES has other criteria, too; only the out-of-balance force counts
             outcome.reason = f"{name_of(reason)} without balance"
-        elif not (self.searches and linear.snes.getType() == "newtonls"):
-            # what a user chose may end elsewhere than at the last residual
+        elif not (self.searches and snes.getType() == "newtonls"):
+            # the user's line search or solver may end at another place than the last residual
             operator.move(outcome.x)
 
-    def _run(self, operator: Operator, balance: ConvergenceTest, start: Array) -> tuple[int, int]:
-        """Let SNES iterate; writes what it finds over the start. Collective.
+    def _prepared(self, operator: Operator, balance: ConvergenceTest) -> PETSc.SNES:
+        """SNES with the functions of an operator. Collective.
 
-        The line searches of `SEARCHES`, and `Secants`, end with the residual of the step that they
-        choose, which leaves the operator moved to what was found.
+        The line searches of `SEARCHES`, and `Secants`, end with a residual at the end of their
+        step. So the operator has the increments of the solution after SNES has ended.
         """
-        linear, touches = self.linear, self._pushed(operator)
+        linear, contact = self.linear, self._in_contact(operator)
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
-        found: Residual = Residual(start, 0.0, 0.0)
-        # where the next step ends, once it is known
+        now: Residual = Residual(np.empty(0), 0.0, 0.0)
+        # residual at the end of the present step, if secants have found it already
         ahead: Residual | None = None
-        secants = Secants(operator.here.unknowns.comm, operator.residual)
+        secants = Secants(operator.here.unknowns.comm, operator.residual) if contact else None
         spare, smallest = _SPARE * self.tolerance, 0.0
-        # a solver that kept what keeps the solver would never be freed
-        ready = weakref.proxy(linear)
+        # a strong reference from SNES to its owner would keep both in memory for ever
+        weak = weakref.proxy(linear)
 
         def residual(snes: Any, x: PETSc.Vec, f: PETSc.Vec) -> None:
-            nonlocal found, ahead
-            found = operator.residual(x.getArray(readonly=True)) if ahead is None else ahead
-            f.getArray()[:], ahead = found.values, None
+            nonlocal now, ahead
+            now = operator.residual(x.getArray(readonly=True)) if ahead is None else ahead
+            f.getArray()[:], ahead = now.values, None
 
         def shorten(x: PETSc.Vec, y: PETSc.Vec) -> None:
             nonlocal ahead
-            share, ahead = secants.find(
-                x.getArray(readonly=True), -y.getArray(readonly=True), found
-            )
+            assert secants is not None
+            share, ahead = secants.find(x.getArray(readonly=True), -y.getArray(readonly=True), now)
             y.scale(share)
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             operator.tangent(matrix)
-            # each field is to be balanced by its own measure
-            least = found.reference if found.parts is None else smallest
-            ready.assembled(found.norm, spare * least)
+            # with several fields, the field with the smallest reference needs the best solution
+            least = now.reference if now.by_field is None else smallest
+            weak.assembled(now.norm, spare * least)
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             nonlocal smallest
-            parts = None
-            if found.parts is not None and (iteration > 0 or balance.predicted):
-                parts = _references(operator, matrix.petsc, snes.getSolution(), found.parts)
-                smallest = float(parts[:, 1].min())
-            reason = balance.test(norms[2], found.reference, iteration, parts)
+            by_field = None
+            if now.by_field is not None and (iteration > 0 or balance.predicted):
+                by_field = _references(operator, matrix.petsc, snes.getSolution(), now.by_field)
+                smallest = float(by_field[:, 1].min())
+            reason = balance.test(norms[2], now.reference, iteration, by_field)
             if balance.guessed and iteration == 0:
-                # what turns back is further from balance than what has not moved
+                # a guess that is further from balance than zero increments is useless
                 if not norms[2] < balance.motion:
                     return Reason.DIVERGED_LINE_SEARCH
-                # what several fields are measured against takes a tangent
-                return reason if found.parts is None else Reason.ITERATING
-            if balance.guessed and reason == Reason.ITERATING and secants.stuck:
+                # the references of several fields need a tangent
+                return reason if now.by_field is None else Reason.ITERATING
+            stuck = secants is not None and secants.stuck
+            if balance.guessed and reason == Reason.ITERATING and stuck:
                 return Reason.DIVERGED_LINE_SEARCH
             return reason
 
-        snes, x = linear.snes, linear.vector()
-        self._set_search(snes, SEARCHES[0] if touches else self.search)
-        if touches:
+        snes = linear.snes
+        self._set_search(snes, SEARCHES[0] if contact else self.search)
+        if contact:
             snes.setLineSearchPreCheck(shorten)
         snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self.max_iterations)
         snes.setFunction(residual, linear.vector())
         snes.setJacobian(jacobian, linear.true, matrix.petsc)
         snes.setConvergenceTest(test)
-        x.getArray()[:] = start
-        snes.solve(None, x)
-        start[:] = x.getArray(readonly=True)
-        return snes.getConvergedReason(), snes.getIterationNumber()
+        return snes
 
     def _set_search(self, snes: PETSc.SNES, search: str) -> None:
-        """Choose the line search, unless the user has. Collective."""
-        if self.searches and self._set != (snes, search):
-            set_search(snes, self._options.prefix, search)
-            self._set = snes, search
+        """Set the line search, unless the user has chosen one. Collective."""
+        if not self.searches or self._set == (snes, search):
+            return
+        self._set = snes, search
+        # petsc4py 3.22 sets line searches by the database of options only
+        database, name = PETSc.Options(), self._options.prefix + _SEARCH_OPTION
+        database[name] = search
+        snes.setFromOptions()
+        # an entry left in the database would look like the user's choice
+        database.delValue(name)
 
     def _predict(self, operator: Operator, balance: ConvergenceTest) -> Array:
-        """First guess under prescribed increments: one linear step from rest, K x = −f − K g."""
-        operator.rest()
+        """First guess under prescribed increments g: the linear step K x = −f − K g. Collective."""
+        operator.move_to_zero()
         assert self.linear.matrix is not None
         operator.tangent(self.linear.matrix)
-        f = operator.push()
-        # a body without loads is measured against the forces that the motion would make
+        f = operator.predictor_residual()
+        # the reference of a body without loads: the forces that the motion alone would make
         square = operator.here.unknowns.comm.allreduce(float(f @ f), op=MPI.SUM)
         balance.motion, balance.predicted = math.sqrt(square), True
         return self.linear.solve(-f)
 
 
-def _references(operator: Operator, matrix: PETSc.Mat, x: PETSc.Vec, parts: Array) -> Array:
-    """What each field's residual is measured against, once a tangent is known. Collective.
+def name_of(reason: int) -> str:
+    """PETSc's name for the reason why SNES ended."""
+    return _REASONS.get(reason, str(reason))
 
-    The largest of an equation's own terms: external forces and reactions, and what each field's
-    unknowns make. Where all of these are next to nothing, as volumes are where nothing moves, what
-    is out of balance is measured by the forces of the displacement that would make it up: by
-    the ratio of what a displacement makes in the first equation and in this one.
+
+def _references(operator: Operator, matrix: PETSc.Mat, x: PETSc.Vec, by_field: Array) -> Array:
+    """Norm and reference of each field's residual, by means of a tangent. Collective.
+
+    The reference is the largest term of the field's equations: external forces and reactions, or
+    the contribution of a field's unknowns. All of these may be close to zero, such as volumes in a
+    body at rest. Then the reference is converted from the first field: the ratio of the
+    contributions of a displacement to both fields' equations converts it.
 
     Args:
         operator: The equations.
         matrix: Their tangent.
         x: The unknowns.
-        parts: Norms of residual, and of external forces and reactions, shape (fields, 2).
+        by_field: Norms of residual, and of external forces and reactions, shape (fields, 2).
 
     Returns:
         Norms of residual and reference, shape (fields, 2).
     """
-    own = np.maximum(parts[:, 1], operator.sizes(matrix, x).max(axis=0))
-    if np.all(parts[:, 0] <= 1e-9 * own):
-        return np.stack([parts[:, 0], own], axis=1)
+    own = np.maximum(by_field[:, 1], operator.sizes(matrix, x).max(axis=0))
+    if np.all(by_field[:, 0] <= 1e-9 * own):
+        return np.stack([by_field[:, 0], own], axis=1)
     probe = x.duplicate()
     probe.setRandom()
     stiffness = operator.sizes(matrix, probe)[0]
     same = own[0] * np.divide(stiffness, stiffness[0], out=np.zeros_like(own), where=stiffness > 0)
-    return np.stack([parts[:, 0], np.maximum(own, same)], axis=1)
+    return np.stack([by_field[:, 0], np.maximum(own, same)], axis=1)

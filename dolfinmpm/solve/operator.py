@@ -1,4 +1,4 @@
-"""A weak form on an activation: the sum of its terms, as functions of the unknowns."""
+"""The equations of a step: residual and tangent of a weak form on an activation."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from petsc4py import PETSc
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.assembly.term import ActiveTerm, Term
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.merging import merged
-from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.solve.weakform import WeakForm
-from dolfinmpm.solve.withoutsoft import WithoutSoftStiffness
 from dolfinmpm.terms.gridterm import StepBlocks
 
 __all__ = ["Operator", "Residual"]
@@ -30,66 +29,68 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Residual:
-    """What is out of balance.
+    """The out-of-balance force.
 
     Attributes:
-        values: Internal and external forces on the owned unknowns (N), shape (owned,).
-        norm: Their norm, over all ranks.
-        reference: Norm of external forces, and of reactions where they are what balances
-            internal ones.
-        parts: Both of each field where there are several, shape (fields, 2): their units differ.
+        values: Internal plus external forces on the owned unknowns (N), shape (owned,).
+        norm: Norm of the values, over all ranks.
+        reference: Norm of the external forces and the reactions.
+        by_field: Norm and reference per field, shape (fields, 2), because units differ between
+            fields. None for a single field.
     """
 
     values: Array
     norm: float
     reference: float
-    parts: Array | None = None
+    by_field: Array | None = None
 
 
 class Operator:
-    """Residual and tangent of a weak form as functions of the unknowns; nothing else changes.
+    """Residual and tangent of a weak form as functions of the unknowns.
+
+    The operator holds the present increments. It changes no point and no body.
 
     Args:
         form: The weak form.
-        here: What is active.
-        more: Terms that stand in no form, such as the inertia of a step in time.
+        here: The activation.
+        more: Terms outside the form, such as the inertia of a step in time.
 
     Attributes:
         form, here: The arguments.
         terms: All terms.
         points: The terms of the points.
-        loads: External forces of loads (N), (nodes, components) each field.
+        loads: External forces of loads (N), shape (nodes, components) per field.
     """
 
     @stages.assemble
     def __init__(self, form: WeakForm, here: Activation, more: Sequence[ActiveTerm] = ()):
         self.form, self.here = form, here
-        self.points, self._of = form.on(here)
-        # what is the same for a whole step belongs to the form that the activation is made for
+        self.points, self._active = form.on(here)
+        # the activation holds the constant blocks of its own form only
         steady = [StepBlocks(here)] if here.terms is form else []
-        self.terms: list[ActiveTerm] = [self.points, *self._of.values(), *steady, *more]
+        self.terms: list[ActiveTerm] = [self.points, *self._active.values(), *steady, *more]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
         self.loads: Sequence[Array] = ()
-        # increments moved to by those at the level where forces balance
+        # present increments relative to the increments at the level where forces balance
         self._scale = 1.0
-        # what a matrix has of blocks, and of their columns of prescribed components
+        # entries of the constant blocks: those of the matrix, and those of prescribed columns
         self._base: tuple[Array, list[Array]] | None = None
-        self.renew_external()
+        self.update_external()
 
-    def of(self, term: Term) -> Any:
+    def active(self, term: Term) -> Any:
         """A term of the form on the activation.
 
         Raises:
-            KeyError: It has no forces there.
+            KeyError: The term has no forces there.
         """
-        return self._of[term]
+        return self._active[term]
 
     # -- vectors --------------------------------------------------------------
 
     @stages.assemble
-    def renew_external(self) -> None:
-        """Take the DOLFINx constants and functions as they are now. Collective."""
+    def update_external(self) -> None:
+        """Evaluate external forces with the present constants and functions. Collective."""
         out = self._external
         self.here.unknowns.clear(out)
         self._add_external(out, loads=True)
@@ -103,7 +104,7 @@ class Operator:
             mine += more
 
     def _add_external(self, out: Nodal, loads: bool) -> None:
-        """Add the forces that do not depend on the increments, of loads or of other terms."""
+        """Add the external forces of loads, or those of other terms. Collective."""
         for term in self.terms:
             if term.is_load == loads:
                 term.external(out.arrays)
@@ -111,17 +112,17 @@ class Operator:
 
     @property
     def external(self) -> Sequence[Array]:
-        """Nodal forces that do not depend on the increments (N), (nodes, components) each field."""
+        """Forces that do not depend on the increments (N), shape (nodes, components) per field."""
         return self._external.arrays
 
     @stages.evaluate
     def move(self, x: Array, scale: float = 1.0) -> None:
-        """Evaluate the increments at nodes and points. Collective.
+        """Set the increments of nodes and points from the unknowns. Collective.
 
         Args:
             x: Owned unknowns, shape (owned,).
-            scale: Factor of increments, prescribed ones too; fields whose own values the form
-                carries from step to step are none, and stay.
+            scale: Factor of all increments, also the prescribed ones. Fields whose values the form
+                carries from step to step are not scaled.
         """
         self.here.unknowns.expand(x, self.here.prescribed, self._u)
         self._scale = scale
@@ -131,10 +132,10 @@ class Operator:
         self._interpolate()
 
     @stages.evaluate
-    def start(self) -> None:
-        """Evaluate the state at the start of a step. Collective.
+    def move_to_start(self) -> None:
+        """Set the state at the start of a step. Collective.
 
-        No increments, and at the points the values of fields that they carry from step to step.
+        Increments are zero. Fields that the form carries have their values at the points.
         """
         self.here.unknowns.clear(self._u)
         self._interpolate()
@@ -143,33 +144,33 @@ class Operator:
                 value[...] = self.form.points[name].reshape(value.shape)
 
     def _interpolate(self) -> None:
-        """Evaluate the nodal increments in all terms."""
+        """Pass the nodal increments to all terms."""
         for term in self.terms:
             term.move(self._u.arrays)
 
     @property
     def increments(self) -> Sequence[Array]:
-        """The increments moved to, (nodes, components) each field."""
+        """The present increments, shape (nodes, components) per field."""
         return self._u.arrays
 
     @stages.assemble
     def forces(self, without: Collection[str] = ()) -> list[Array]:
-        """Internal and external forces at the increments moved to (N), each field's. Collective.
+        """Internal plus external forces at the present increments (N). Collective.
 
         Args:
-            without: Kinds of terms whose internal forces are left out, see `ActiveTerm`.
+            without: Kinds of terms without internal forces in the sum, see `ActiveTerm`.
 
         Returns:
-            Shapes (nodes, components), summed over ranks at the nodes' owners.
+            Shape (nodes, components) per field, summed over ranks at the nodes' owners.
         """
         internal = self._internal(without).arrays
         return [a + b for a, b in zip(internal, self.external)]
 
     def load_work(self, of: Sequence[Array] | None = None) -> float:
-        """Work of loads, as they are now, on increments. Collective.
+        """Work of the present loads on increments (J). Collective.
 
         Args:
-            of: The increments, those moved to by default.
+            of: The increments; by default the present increments.
         """
         unknowns, work = self.here.unknowns, 0.0
         increments = self.increments if of is None else of
@@ -178,11 +179,11 @@ class Operator:
             work -= float(np.sum(load[owned] * u[owned]))
         return unknowns.comm.allreduce(work)
 
-    def held_work(self, forces: Sequence[Array]) -> float:
-        """Work of forces at prescribed components on their increments. Collective.
+    def work_at_prescribed(self, forces: Sequence[Array]) -> float:
+        """Work of forces at prescribed components on their increments (J). Collective.
 
         Args:
-            forces: Forces (N), (nodes, components) each field, summed at the nodes' owners.
+            forces: Forces (N), shape (nodes, components) per field, summed at the nodes' owners.
         """
         unknowns, work = self.here.unknowns, 0.0
         for field, force, u in zip(unknowns.fields, forces, self.increments):
@@ -191,24 +192,24 @@ class Operator:
         return unknowns.comm.allreduce(work)
 
     @stages.evaluate
-    def place(self, u: Sequence[Array]) -> None:
-        """Evaluate nodal increments at the points.
+    def set_increments(self, u: Sequence[Array]) -> None:
+        """Set nodal increments, and evaluate them at the points.
 
         Args:
-            u: Increments at all nodes known here, (nodes, components) each field.
+            u: Increments at all nodes of this rank, shape (nodes, components) per field.
         """
         for mine, given in zip(self._u.arrays, u):
             mine[...] = given
         self._interpolate()
 
     @stages.evaluate
-    def rest(self) -> None:
-        """Evaluate no increment at all, not even those prescribed. Collective."""
+    def move_to_zero(self) -> None:
+        """Set all increments to zero, also the prescribed ones. Collective."""
         self.here.unknowns.clear(self._u)
         self._interpolate()
 
     def _internal(self, without: Collection[str] = ()) -> Nodal:
-        """Internal forces at the increments moved to, summed over ranks. Collective."""
+        """Internal forces at the present increments, summed over ranks. Collective."""
         here, out = self.here, self._force
         here.unknowns.clear(out)
         every = [term for term in self.terms if term.kind not in without]
@@ -216,63 +217,63 @@ class Operator:
             term.touch(self._u.arrays, self._scale)
         for term in every:
             if not term.internal(out.arrays):
-                self._spoil(out)
+                self._set_nan(out)
                 break
         for blocks in () if "penalty" in without else self._constant:
             add_product(blocks, self._u.arrays, out.arrays)
         out.add_up()
         return out
 
-    def _spoil(self, out: Nodal) -> None:
-        """Where a law fails the norm of the forces is no number on any rank."""
+    def _set_nan(self, out: Nodal) -> None:
+        """Set forces to NaN after a law has failed. The norm is then NaN on all ranks."""
         for field, force in zip(self.here.unknowns.fields, out.arrays):
             force[field.nodes] = math.nan
 
-    def touch(self) -> None:
-        """Let contacts find their forces at the increments moved to."""
+    def update_contact(self) -> None:
+        """Find the forces of contact at the present increments."""
         for term in self.terms:
             term.touch(self._u.arrays, self._scale)
 
     @property
-    def pushed(self) -> bool:
-        """Whether a term moves the points by a motion of its own."""
+    def has_rigid_contact(self) -> bool:
+        """Whether a term is contact with a rigid body."""
         return any(term.pushes for term in self.terms)
 
     def has(self, kind: str) -> bool:
-        """Whether there is a term of a kind, see `ActiveTerm`."""
+        """Whether a term has this kind, see `ActiveTerm`."""
         return any(term.kind == kind for term in self.terms)
 
     @stages.assemble
     def forces_of(self, kind: str) -> Sequence[Array]:
-        """Internal forces of the terms of a kind at the increments that they have. Collective.
+        """Internal forces of the terms of one kind, at the increments of these terms. Collective.
 
-        Contacts have the forces that they found last, other terms the increments placed last.
+        Contacts return the forces of the last `update_contact`.
 
         Returns:
-            Nodal forces (N), (nodes, components) each field, at the nodes' owners; no numbers where
-            a law fails.
+            Nodal forces (N), shape (nodes, components) per field, at the nodes' owners. They are
+            NaN after a law has failed.
         """
         forces = self.here.unknowns.nodal()
         if self.has(kind):
             if not all(t.internal(forces.arrays) for t in self.terms if t.kind == kind):
-                self._spoil(forces)
+                self._set_nan(forces)
             forces.add_up()
         return forces.arrays
 
     @stages.evaluate
-    def place_in(self, kind: str, u: Sequence[Array]) -> None:
-        """Evaluate nodal increments in the terms of a kind alone.
+    def set_increments_of(self, kind: str, u: Sequence[Array]) -> None:
+        """Set nodal increments in the terms of one kind only.
 
         Args:
             kind: The kind.
-            u: Increments at all nodes known here, (nodes, components) each field.
+            u: Increments at all nodes of this rank, shape (nodes, components) per field.
         """
         for term in self.terms:
             if term.kind == kind:
                 term.move(u)
 
     def residual(self, x: Array) -> Residual:
-        """Forces out of balance. Collective.
+        """The out-of-balance force at the unknowns. Collective.
 
         Args:
             x: Owned unknowns, shape (owned,).
@@ -292,39 +293,36 @@ class Operator:
             each[1] += [float(np.sum(r.reshape(-1)[f.places[1]] ** 2))
                         for f, r in zip(unknowns.fields, internal)]  # fmt: skip
             found = np.sqrt(unknowns.comm.allreduce(np.vstack([sums, np.stack(each, axis=1)])))
-            (norm, reference), parts = found[0], found[1:]
-            return Residual(unknowns.shared_out(values), float(norm), float(reference), parts)
+            (norm, reference), by_field = found[0], found[1:]
+            return Residual(unknowns.shared_out(values), float(norm), float(reference), by_field)
 
     def sizes(self, matrix: PETSc.Mat, x: PETSc.Vec) -> Array:
-        """How large the terms are that each field's unknowns make in each equation. Collective.
+        """Size of the contribution of each field's unknowns to each field's equations. Collective.
 
         Args:
             matrix: The tangent.
             x: The unknowns.
 
         Returns:
-            Norms of the entries of the tangent's products, shape (fields of the unknowns, fields
-            of the equations).
+            Norms of the products with the tangent, shape (fields of the unknowns, fields of the
+            equations).
         """
         unknowns, found = self.here.unknowns, []
-        part, made = x.duplicate(), x.duplicate()
+        part, product = x.duplicate(), x.duplicate()
         for k in range(len(unknowns.fields)):
             part.getArray()[:] = unknowns.only(k, x.getArray(readonly=True))
-            matrix.mult(part, made)
-            found.append(unknowns.squares(unknowns.given_back(made.getArray(readonly=True))))
+            matrix.mult(part, product)
+            back = unknowns.given_back(product.getArray(readonly=True))
+            found.append(unknowns.squares(back))
         return np.sqrt(unknowns.comm.allreduce(np.array(found)))
 
-    def vector(self, x: Array) -> Array:
-        """All forces on the owned unknowns (N), shape (owned,). Collective."""
-        return self.residual(x).values
-
     @stages.assemble
-    def push(self) -> Array:
-        """Residual of the linear step from rest under the prescribed increments. Collective.
+    def predictor_residual(self) -> Array:
+        """Residual of the linear step from zero under the prescribed increments. Collective.
 
         Returns:
-            f + K g on the owned unknowns, shape (owned,), K being the tangent that was
-            assembled last and g the prescribed increments.
+            f + K g on the owned unknowns, shape (owned,), with the last assembled tangent K and
+            the prescribed increments g.
         """
         unknowns = self.here.unknowns
         internal = self._internal().arrays
@@ -336,19 +334,20 @@ class Operator:
 
     @functools.cached_property
     def _constant(self) -> list[Blocks]:
-        """Blocks whose products with the increments are forces, all between two fields in one."""
+        """Blocks of constant stiffness, merged to one block per pair of fields."""
         return merged([b for term in self.terms for b in term.stiffness])
 
     @functools.cached_property
-    def _soft(self) -> list[Blocks]:
+    def soft(self) -> list[Blocks]:
+        """Blocks of soft stiffness: they are in the matrix, and not in the forces."""
         return [b for term in self.terms for b in term.soft]
 
     @stages.assemble
     def tangent(self, matrix: Matrix) -> None:
-        """Assemble the tangent at the increments moved to. Collective.
+        """Assemble the tangent at the present increments. Collective.
 
         Args:
-            matrix: Written; of the activation's pattern.
+            matrix: Output, with the activation's pattern.
         """
         here = self.here
         fields = list(zip(here.unknowns.fields, self._lift.arrays))
@@ -358,13 +357,13 @@ class Operator:
             for j, columns in enumerate(here.unknowns.fields)
         }
         self._begin(matrix, entries)
-        self.touch()
+        self.update_contact()
         for term in self.terms:
             term.tangent(entries)
         matrix.finish()
 
     def _begin(self, matrix: Matrix, entries: Mapping[tuple[int, int], Entries]) -> None:
-        """Begin a tangent with what is the same whatever the increments, kept from the first."""
+        """Set the constant part of the tangent. The first call keeps it for later calls."""
         fields, lifts = self.here.unknowns.fields, self._lift.arrays
         if self._base is not None:
             matrix.data[:] = self._base[0]
@@ -373,15 +372,9 @@ class Operator:
             return
         matrix.data[:] = 0.0
         self.here.unknowns.clear(self._lift)
-        blocks = [*self._constant, *self._soft]
+        blocks = [*self._constant, *self.soft]
         for b in blocks:
             add_blocks(b, entries[b.row_field, b.column_field])
         if blocks:
             kept_lifts = [lift[field.nodes] for field, lift in zip(fields, lifts)]
             self._base = np.array(matrix.data), kept_lifts
-
-    def without_soft(self, matrix: Matrix) -> PETSc.Mat:
-        """The tangent without its terms of the tangent only, as PETSc takes it. Collective."""
-        if not self._soft:
-            return matrix.petsc
-        return WithoutSoftStiffness(self.here.unknowns, self._soft).operator(matrix.petsc)

@@ -34,21 +34,21 @@ class PathBorder:
 
     Attributes:
         load, constraint: The arguments.
-        length: Length of the step (m), or None before the first, which then sets it.
-        last_change: Change of the factor in the last step, or None before the first.
-        first: What the first step is to add to the factor, where `length` is not set.
+        length: Length of the step (m); None if the first step is to set it.
+        last_change: Change of the factor in the last step, or None before the first step.
+        first: Change of the factor aimed at by the first step, if `length` is None.
         factor: λ of the present state.
-        travelled: Controlled displacement since the beginning (m).
-        speed: Root mean square displacement by load factor so far (m), infinite where there
-            is none; it bounds what the first step takes for the size of displacements.
+        travelled: Controlled displacement since the first step (m).
+        speed: Root mean square displacement per load factor so far (m), or infinity before any. It
+            bounds the estimate of the displacements in the first step.
         tolerance, unmet: See `Border`.
 
     Raises:
-        FormError: The load factor multiplies what it cannot, or the control is no form of the
-            points.
+        FormError: The load factor multiplies a term of the grid with the increment, or the control
+            is no form over the points.
     """
 
-    # how well the length is met: it chooses the next state, it is no physics
+    # error of the length: it only selects the next state, and has no physical meaning
     tolerance = 1e-6
     unmet = "the length of the step was not met"
 
@@ -85,7 +85,7 @@ class PathBorder:
 
     @property
     def moving(self) -> set[int]:
-        """Subdomain ids of facets and cells that its forms integrate over as they are active."""
+        """Subdomain ids of the active facets and cells over which its forms integrate."""
         return self._slope_form.moving | self._control_form.moving
 
     def begin(self, operator: Operator) -> None:
@@ -95,7 +95,7 @@ class PathBorder:
         self._control = Operator(self._control_form, operator.here)
         self._start = self.load.value
 
-    def back(self) -> None:
+    def reset(self) -> None:
         """See `Border`."""
         self.load.set(self._start)
 
@@ -105,31 +105,31 @@ class PathBorder:
 
     def slopes(self, x: Array) -> Array:
         """∂r/∂λ; see `Border`. Collective."""
-        self._slope.renew_external()
-        return self._slope.vector(x)[:, None]
+        self._slope.update_external()
+        return self._slope.residual(x).values[:, None]
 
     def move(self, change: Array) -> None:
         """See `Border`. Collective."""
         self.load.set(self.load.value + float(change[0]))
 
     def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
-        """Along the tangent of the path, on the side that the last step came to. Collective."""
+        """Predict along the tangent of the path, in the direction of the last step. Collective."""
         constraint = self.constraint
-        operator.rest()
+        operator.move_to_zero()
         assert newton.linear.matrix is not None
         operator.tangent(newton.linear.matrix)
         q = self.slopes(np.zeros(operator.here.unknowns.owned))[:, 0]
         rate = newton.linear.solve(-q)
-        # without factors it is infinite
+        # a failed solution is infinite
         with np.errstate(invalid="ignore"):
-            along = self._dot(self._control.vector(rate), rate)
+            along = self._dot(self._control.residual(rate).values, rate)
         if not math.isfinite(along) or along == 0.0:
             return "the tangent is singular, or the load does not move what controls the step"
         if constraint.linear:
             assert self.length is not None
             change = self.length / along
         else:
-            # near a limit point the tangent's speed has no bound, the mean one so far has
+            # near a limit point the displacement per load factor has no bound; its mean has one
             usual = min(math.sqrt(along), self.speed)
             if constraint.psi is None:
                 constraint.psi = usual
@@ -141,7 +141,7 @@ class PathBorder:
         return change * rate, abs(change) * math.sqrt(self._dot(q, q))
 
     def _side(self) -> float:
-        """Sign of the predictor: no turning back on the last step's increment. Collective."""
+        """Sign of the predictor, so that the path does not turn back. Collective."""
         if self.last_change is None:
             return self.first
         moved = self._trail.array
@@ -152,10 +152,10 @@ class PathBorder:
         return forward + self.constraint.psi**2 * self.last_change
 
     def gap(self, x: Array) -> tuple[Array, Array, Array]:
-        """The length at the present state, over its size; see `Border`. Collective."""
+        """The relative error of the length in the present state; see `Border`. Collective."""
         constraint = self.constraint
         assert self.length is not None
-        w = self._control.vector(x)
+        w = self._control.residual(x).values
         if constraint.linear:
             gap = self._dot(w, x) / self.length - 1
             by_x = np.asarray(w[:, None] / self.length, float)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any, ClassVar
 
 import ufl
@@ -14,27 +15,24 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import file_path, shown
-from dolfinmpm._platform.errors import (
-    FormError,
-    ParameterError,
-)
-from dolfinmpm._platform.given import ReadList, ReadOnce
-from dolfinmpm._platform.together import together
-from dolfinmpm.assembly.state import Keeps, gathered, given_back
+from dolfinmpm._platform.argumentchecks import file_path, shown
+from dolfinmpm._platform.collective import collective
+from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.readonce import ReadList, ReadOnce
+from dolfinmpm.assembly.state import HasState, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
+from dolfinmpm.basis.conditionchecks import warn_idle
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.heldmotions import warn_idle
-from dolfinmpm.body.meshparts import warn_of_imbalance
+from dolfinmpm.body.meshpartition import warn_of_imbalance
 from dolfinmpm.body.migration import settle
+from dolfinmpm.body.overlapchecks import check_room
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.room import check_room
-from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.contactterm import Contact
-from dolfinmpm.cut.activation import activate, active_on_grid
+from dolfinmpm.contact.rigidbodies import RigidBodies
+from dolfinmpm.contact.rigidcontact import RigidContact
+from dolfinmpm.cut.activate import activate, active_on_grid
+from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with_constraints
 from dolfinmpm.cut.couplings import KeptCouplings
-from dolfinmpm.cut.held import Held
-from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers, with_ties
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_levels
 from dolfinmpm.forms.hoop import check_hoops
@@ -49,18 +47,20 @@ from dolfinmpm.solve.arguments import (
     increments_of,
     stabilisations_of,
 )
-from dolfinmpm.solve.axis import warn_of_free_axis
-from dolfinmpm.solve.bodyfields import check_bodies
-from dolfinmpm.solve.conflicts import check_boundaries_of
+from dolfinmpm.solve.description import summary
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.pressures import refuse_wrong_kinds
+from dolfinmpm.solve.problemchecks import (
+    check_boundary_conditions,
+    check_field_tags,
+    check_kinds_of_conditions,
+    refuse_rates,
+    warn_of_free_axis,
+)
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
-from dolfinmpm.solve.summary import summary
-from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
 from dolfinmpm.terms.referencemarkers import require_reference
 
@@ -132,22 +132,22 @@ class Problem(ReadOnce):
         self.fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
         if scheme.ties_movers:
             for k in movers(spaces):
-                self.fields[k] = with_ties(self.fields[k])
+                self.fields[k] = with_constraints(self.fields[k])
         whole, soft, changes = with_stabilisations(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
-        check_bodies(self.fields, self.form)
-        check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
-        rigid = [term for term in self.form.terms if isinstance(term, Contact)]
-        self.bodies = Bodies(rigid, points.grid)
+        check_field_tags(self.fields, self.form)
+        check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
+        rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
+        self.bodies = RigidBodies(rigid, points.grid)
         self.bodies.check_steps(scheme.in_time, type(self).__name__)
-        refuse_wrong_kinds(bcs, spaces, self.form.parts.carried)
+        check_kinds_of_conditions(bcs, spaces, self.form.parts.carried)
         if not scheme.inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         self._settle_markers()
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None
-        self.held = Held(bcs, spaces)
+        self.held = EssentialConditions(bcs, spaces)
         if self.held.follows and self.configuration == "total":
             raise ParameterError(
                 'conditions with follows=True need Space(..., configuration="updated"), got '
@@ -159,7 +159,7 @@ class Problem(ReadOnce):
             if any(condition.value is load for load in loads):
                 raise ParameterError(
                     f"a constant is both a load of the form and the increment prescribed at "
-                    f"'{condition.where}'; a part of a step would scale it twice: use two constants"
+                    f"'{condition.where}'; a substep would scale it twice: use two constants"
                 )
         self.loads = Loads(loads, increments)
         settle(points, self.configuration)
@@ -201,6 +201,10 @@ class Problem(ReadOnce):
     def __str__(self) -> str:
         """Fields, bases, stabilisation, laws, terms, conditions, scheme and solver, in lines."""
         return summary(self)
+
+    def _repr_html_(self) -> str:
+        """The same lines, for notebooks."""
+        return f"<pre>{escape(summary(self))}</pre>"
 
     def scheme_lines(self) -> list[str]:
         """Lines of the summary on scheme and solver."""
@@ -249,7 +253,7 @@ class Problem(ReadOnce):
         first = next(iter(movers(spaces)), 0)
         return spaces[first].increment.ufl_shape == (self.points.gdim,)
 
-    @together
+    @collective
     @stages.output
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for a restart, one archive of NumPy (.npz). Collective.
@@ -267,7 +271,7 @@ class Problem(ReadOnce):
         """
         save(self, file_path("path", path))
 
-    @together
+    @collective
     def load(self, path: str | os.PathLike[str]) -> None:
         """Restart from a checkpoint of `save`, on any number of ranks. Collective.
 
@@ -298,7 +302,7 @@ class Problem(ReadOnce):
         """
         load(self, file_path("path", path))
 
-    def keeping(self) -> list[tuple[str, Keeps]]:
+    def keeping(self) -> list[tuple[str, HasState]]:
         """Objects with a state from step to step, besides the points, with their names."""
         held, bodies = ("prescribed", self.held), ("bodies", self.bodies)
         return [
@@ -309,7 +313,7 @@ class Problem(ReadOnce):
             ("scheme", self.scheme),
         ]
 
-    @together
+    @collective
     def state(self) -> dict[str, Any]:
         """The state from step to step besides the points' fields, by name. Collective.
 
@@ -318,13 +322,13 @@ class Problem(ReadOnce):
         """
         return gathered(self.keeping())
 
-    @together
+    @collective
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`, on any number of ranks. Collective."""
         given_back(self.keeping(), values)
         self.here = None
 
-    @together
+    @collective
     @stages.activate
     def activate(self, step: Step | None = None) -> Activation:
         """The activation for a step from the present positions of the points. Collective.
@@ -334,9 +338,9 @@ class Problem(ReadOnce):
         """
         share = 1.0 if step is None else step.share
         if step is not None and self.here is None and not self.scheme.in_time:
-            check_timeless(self.form.given, self.points, type(self).__name__)
+            refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
-        check_bodies(self.fields, self.form)
+        check_field_tags(self.fields, self.form)
         self.form.place()
         self.held.follow()
         first, kept, self.kept = self.here is None, self.kept, None
@@ -347,7 +351,7 @@ class Problem(ReadOnce):
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
         self._set_penalties(self.here)
-        # a moving body may reach a side later
+        # a body that moves in time may reach a side later
         if first and kept is None and not self.scheme.in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
@@ -357,8 +361,8 @@ class Problem(ReadOnce):
         """Set the penalties of weak conditions. Collective."""
         self.form.set_penalties(here)
 
-    def _begin(self) -> None:
-        """Check at the start of a step that nothing else has moved rigid bodies or grid lines.
+    def _check_still_valid(self) -> None:
+        """Check that no other problem has moved rigid bodies or grid lines.
 
         Raises:
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
@@ -378,19 +382,19 @@ class Problem(ReadOnce):
         self.here = self.kept = None
 
     def _in_blocks(self, count: int) -> bool:
-        """Whether a number of unknowns is to be stored in blocks, see `Unknowns`."""
+        """Whether a number of unknowns is stored in blocks, see `Unknowns`."""
         return False
 
-    @together
+    @collective
     def operator(self) -> Operator:
         """The weak form in the present state: residual, tangent, external forces. Collective."""
         return Operator(self.form, self.activate())
 
-    @together
+    @collective
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""
         operator = self.operator()
-        operator.rest()
+        operator.move_to_zero()
         matrix = Matrix(operator.here.pattern, operator.here.unknowns)
         operator.tangent(matrix)
         return matrix.petsc

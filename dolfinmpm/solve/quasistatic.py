@@ -6,36 +6,28 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform import garbage, stages
+from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
-from dolfinmpm._platform.together import together
-from dolfinmpm.assembly.state import Keeps
+from dolfinmpm.assembly.state import HasState
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import active_on_grid
-from dolfinmpm.cut.participants import Prolongate
-from dolfinmpm.solve.advance import commit
+from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve.agreement import of_step
-from dolfinmpm.solve.arguments import (
-    advice,
-    check_limits,
-    check_petsc_options,
-    check_points,
-)
+from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.easing import FIRST, ease, jumps
+from dolfinmpm.solve.failures import failed_step, why_step_failed
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.method import Tangent, symmetric
+from dolfinmpm.solve.newstate import commit
 from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
@@ -44,15 +36,12 @@ from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.setup import Stabilisations
 from dolfinmpm.solve.solverstate import SolverState
 from dolfinmpm.solve.step import Failed, Step, StepRecord
-from dolfinmpm.solve.unsupported import unsupported
 from dolfinmpm.terms.gridterm import fill_functions
 
 __all__ = ["QuasiStatic"]
 
-# How often a substep may update the multipliers of contact
+# Largest number of updates of the multipliers of contact in a substep
 _MOST_AUGMENTATIONS = 50
-
-Array = npt.NDArray[np.float64]
 
 
 class QuasiStatic(Problem):
@@ -106,13 +95,27 @@ class QuasiStatic(Problem):
         ParameterError: An argument has the wrong type or a value outside its range.
         FormError: A term of the form cannot be evaluated in its integral.
         ConflictingConditionsError: Two conditions contradict each other.
+
+    A block in an oedometer, 1 % shorter:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 4)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.04)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    >>> record = problem.step()
+    >>> points["stress"][0, 1, 1].round(2).item()
+    -10151.85
     """
 
     _live = frozenset({"tolerance", "max_iterations", "max_halvings"})
 
     scheme: Static
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -153,7 +156,7 @@ class QuasiStatic(Problem):
         if self.bodies.free:
             self.solver = Bordered(self.solver, FreeBodies(self.bodies, tolerance))
         self.share = 1.0
-        self._record, self._release = StepRecord(), 1.0
+        self._record = StepRecord()
 
     def use(self, scheme: Static) -> None:
         """Use another scheme in the next steps."""
@@ -202,7 +205,7 @@ class QuasiStatic(Problem):
     def _in_blocks(self, count: int) -> bool:
         return self.newton.linear.in_blocks(count)
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> Any:
         """Take one step, to the present load or to the time t. Collective.
 
@@ -225,16 +228,16 @@ class QuasiStatic(Problem):
         started, watch = time.perf_counter(), stages.Watch()
         check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
         self.scheme.begin(self, t)
-        self.loads.aim()
+        self.loads.set_target()
         self._record = record = self.scheme.record()
         done, share, whole, eased = 0.0, self.share, False, False
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
-                step = self.scheme.part(done, share)
-                self._release = share / (1.0 - done) if eased else 1.0
+                step = self.scheme.substep(done, share)
+                release = share / (1.0 - done) if eased else 1.0
                 self.loads.set(done + share)
-                failed = self._attempt(step)
+                failed = self._attempt(step, release)
                 if failed is None:
                     done = 1.0 if 1.0 - done - share < 1e-12 else done + share
                     record.parts += 1
@@ -244,18 +247,18 @@ class QuasiStatic(Problem):
                     if not eased and jumps(self, record.residuals):
                         eased, share = True, FIRST
                         continue
-                    raise ConvergenceError(self._failure(failed, done, share))
+                    raise ConvergenceError(why_step_failed(self, failed, done, share))
                 record.halvings += 1
                 share *= 0.5
             whole = True
         except BaseException:
-            # after an interruption, too, load and state belong to the same substep
+            # load and state must belong to the same substep, also after an interruption
             self.loads.set(done)
             self.scheme.fail()
             self.bodies.reset()
             raise
         finally:
-            self.loads.release()
+            self.loads.accept()
             self.scheme.end(record if whole else None)
         self.share = share
         record.bodies |= self.bodies.record()
@@ -263,58 +266,65 @@ class QuasiStatic(Problem):
         self.history.append(record)
         return record
 
-    def _attempt(self, step: Step) -> Failed | None:
-        """Take a step or a substep; return None, or why it was not taken. Collective.
+    def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
+        """Take a step or a substep; return None, or the reason of a failure. Collective.
 
-        Nothing is put back after a failure. New values stay in `NewState` until `_commit`. The next
+        A failure changes nothing, because new values stay in `NewState` until `_commit`. The next
         attempt sets loads from the last converged substep, and bodies from their start.
+
+        Args:
+            step: The step or substep.
+            release: Share of the forces out of balance at its start that it releases, see `ease`.
         """
-        failed = self._ready(step)
+        failed = self._prepare(step)
         if failed is not None:
             return failed
         operator = self.scheme.system(self, step)
-        ease(operator, self._release)
-        outcome = self._solve(operator, step)
+        ease(operator, release)
+        self._record.unknowns = operator.here.unknowns.total
+        self.newton.guess.length = step.dt
+        for term in operator.terms:
+            term.clings = True
+        # multipliers of contact bound the penetration: they change between solutions
+        for _ in range(_MOST_AUGMENTATIONS):
+            with stages.solve:
+                outcome = self.solver.solve(operator)
+            self._count(outcome)
+            if outcome.reason is not None:
+                break
+            augmented = [term.augment() for term in operator.terms]
+            if not any(augmented):
+                break
+        else:
+            outcome.reason = (
+                f"{_MOST_AUGMENTATIONS} augmentations do not bound the penetration; take a larger "
+                "penalty"
+            )
         state: NewState | str | None = outcome.reason
         if state is None:
             state = self.scheme.finish(self, operator, outcome.x, step)
         if isinstance(state, str):
-            return Failed(state, self._worst(operator), self._support(operator, state))
+            return failed_step(self, operator, state)
         self._commit(operator, state)
         return None
 
-    def _ready(self, step: Step) -> Failed | None:
+    def _prepare(self, step: Step) -> Failed | None:
         """Check that a step may begin, and distribute the points over the ranks. Collective."""
-        self._begin()
+        self._check_still_valid()
         raise_together(self.comm, self.points.fault())
-        garbage.free(self.comm)
+        petscgarbage.free(self.comm)
         self._record.migrated += balance(self.points)
         fault = self.bodies.fault(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")
 
-    def _solve(self, operator: Operator, step: Step) -> Outcome:
-        """Solve the equations of a step. Contact multipliers are updated to bound penetrations."""
-        record, newton = self._record, self.newton
-        newton.guess.length = step.dt
-        record.unknowns = operator.here.unknowns.total
-        for term in operator.terms:
-            term.clings = True
-        for _ in range(_MOST_AUGMENTATIONS):
-            with stages.solve:
-                outcome = self.solver.solve(operator)
-            record.iterations += outcome.iterations
-            record.residuals = outcome.residuals
-            record.linear_iterations += newton.linear.iterations
-            if outcome.reason is None and outcome.iterations:
-                newton.linear.warn_of_unread_options()
-            deep = not outcome.reason and [term.augment() for term in operator.terms]
-            if not deep or not any(deep):
-                return outcome
-        outcome.reason = (
-            f"{_MOST_AUGMENTATIONS} augmentations do not bound the penetration; take a larger "
-            "penalty"
-        )
-        return outcome
+    def _count(self, outcome: Outcome) -> None:
+        """Add the iterations of a solution to the record."""
+        record, linear = self._record, self.newton.linear
+        record.iterations += outcome.iterations
+        record.residuals = outcome.residuals
+        record.linear_iterations += linear.iterations
+        if outcome.reason is None and outcome.iterations:
+            linear.warn_of_unread_options()
 
     def _commit(self, operator: Operator, state: NewState) -> None:
         """Write the new state of bodies, points and markers. Collective."""
@@ -328,11 +338,6 @@ class QuasiStatic(Problem):
         with stages.commit:
             fill_functions(operator.here.fields, operator.increments)
 
-    def _support(self, operator: Operator, reason: str) -> str:
-        """Advice on a step that failed because a free body has no support. Collective."""
-        free = [] if self.scheme.inertia else self.bodies.free
-        return unsupported(free, self.bodies.acting(operator), reason, self.comm)
-
     def scheme_lines(self) -> list[str]:
         """See `Problem`."""
         method = self.newton.linear.used
@@ -343,7 +348,7 @@ class QuasiStatic(Problem):
             f"{method or 'chosen in the first step'}",
         ]
 
-    @together
+    @collective
     def info(self) -> str:
         """Lines to print: points, unknowns and the linear solver at present. Collective."""
         points, here, comm = self.points, self.here, self.comm
@@ -356,56 +361,22 @@ class QuasiStatic(Problem):
         lines.append(f"linear solver: {method or 'chosen in the first step'}")
         return "\n".join(lines)
 
-    def keeping(self) -> list[tuple[str, Keeps]]:
+    def keeping(self) -> list[tuple[str, HasState]]:
         """See `Problem`."""
         return [*super().keeping(), ("solver", SolverState(self))]
 
-    def _worst(self, operator: Operator) -> str:
-        """The point whose law failed, or the most compressed point, for messages. Collective."""
-        points = self.points
-        found = None
-        if len(points):
-            J = np.ones(len(points))
-            if self.moves:
-                motion = operator.points.motion(operator.here.movers)
-                J = np.linalg.det(deformation(points, *motion))
-            failure = operator.points.failure
-            p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
-            place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
-            place += f": {failure.cause}" if failure is not None and failure.cause else ""
-            found = (failure is None, np.nan_to_num(J[p], nan=-np.inf), place)
-        candidates = [c for c in self.comm.allgather(found) if c is not None]
-        return min(candidates)[2] if candidates else "none"
-
-    def _failure(self, failed: Failed, done: float, share: float) -> str:
+    @property
+    def last_residual(self) -> str:
+        """The last relative out-of-balance force, for messages."""
         residuals = self._record.residuals
-        last = f"{residuals[-1]:.3g}" if residuals else "none"
-        return (
-            f"step {len(self.history) + 1} failed at {done + share:.4g} of its load "
-            f"({self.loads.describe()}) with parts of {share:.3g}: SNES says "
-            f"{failed.reason}, the relative out-of-balance force is {last} (tolerance "
-            f"{self.newton.tolerance:g}); the worst is {failed.worst}. The state is that at "
-            f"{done:.4g} of the step: {failed.advice or self._advice()}"
-        )
-
-    def _advice(self) -> str:
-        """What to do about a step that failed. Collective."""
-        here = self.here
-        if here is None:
-            # a rigid body would move too far, so no step has begun
-            return "take smaller steps"
-        first = here.fields[0]
-        named = any(field.stabilisation.kind != "none" for field in self.fields)
-        active = active_on_grid(first)
-        stabilised = named or here.ghost_facets > 0
-        return advice(stabilised, self.bcs, first.space, active, self.points.axisymmetric)
+        return f"{residuals[-1]:.3g}" if residuals else "none"
 
 
 def _spread(what: str, counts: list[int], total: int | None = None) -> str:
-    """A number on all ranks together, and its range over the ranks."""
+    """Sum of a number over all ranks, and its range over the ranks."""
     text = f"{what}: {sum(counts) if total is None else total}"
     if len(counts) == 1:
         return text
     mean = sum(counts) / len(counts)
     most = f", {max(counts) / mean:.2f} times the mean" if mean else ""
-    return f"{text}, {min(counts)} to {max(counts)} a rank{most}"
+    return f"{text}, {min(counts)} to {max(counts)} per rank{most}"

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_kind
+from dolfinmpm._platform.argumentchecks import check_kind
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.grid.graded import lay_lines
+from dolfinmpm.grid.graded import set_lines
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.solve.problem import Problem
 
 __all__ = ["regrid"]
 
 
-@together
+@collective
 def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
     """Move the grid lines of a problem between steps, such as for a moving fine zone. Collective.
 
@@ -37,6 +37,20 @@ def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
         ParameterError: The lines are invalid, or the problem is of another kind.
         UnsupportedGridError: The grid is not rectangular, or was uniform.
         PointsOutsideGridError: Points would be outside the grid.
+
+    The fine zone moves by one metre to the right:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> lines = [mpm.zoned_line(0, 6, (2, 3), (4, 4, 5)), range(4)]
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (6, 2)), per_cell=4, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    >>> mpm.regrid(problem, [mpm.zoned_line(0, 6, (3, 4), (4, 4, 5)), range(4)])
+    >>> sorted(set(grid.geometry.x[:, 0].round(2).tolist()))[4:9]
+    [3.0, 3.25, 3.5, 3.75, 4.0]
     """
     check_kind("problem", problem, Problem, "give an mpm.QuasiStatic")
     if not hasattr(problem, "solver"):
@@ -49,7 +63,7 @@ def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
             '"updated"'
         )
     points, form = problem.points, problem.form
-    lay_lines(points.grid, lines)
+    set_lines(points.grid, lines)
     lattice = lattice_of(points.grid)
     assert lattice is not None
     for space in form.spaces:

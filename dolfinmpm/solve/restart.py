@@ -1,4 +1,4 @@
-"""Checkpoints of problems: what is written, and what must agree where it is read."""
+"""The state of a problem in a checkpoint file and in memory, and its way back."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import dataclasses
 import os
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm._platform.errors import CheckpointError, raise_together
@@ -15,7 +17,9 @@ from dolfinmpm.solve.description import describe, warn_of_differences
 if TYPE_CHECKING:
     from dolfinmpm.solve.problem import Problem
 
-__all__ = ["load", "save"]
+__all__ = ["SavedState", "load", "save"]
+
+Arrays = dict[str, npt.NDArray[Any]]
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
@@ -27,7 +31,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
 
 
 def load(problem: Problem, path: str | os.PathLike[str]) -> None:
-    """Go on from a checkpoint; see `Problem.load`. Collective."""
+    """Read a checkpoint; see `Problem.load`. Collective."""
     found = checkpoint.read(path, problem.points, _laws(problem))
     raise_together(problem.comm, _mismatch(problem, os.fspath(path), found.state))
     before = dict(found.state.get("description", ()))
@@ -42,7 +46,7 @@ def load(problem: Problem, path: str | os.PathLike[str]) -> None:
 
 
 def _description(problem: Problem) -> dict[str, str]:
-    """What the problem is, in words, of which a next stage may change some. Collective."""
+    """Settings that a next stage may change, in words. Collective."""
     own = describe(problem.fields, problem.form, problem.bcs)
     return {**own, **problem.scheme.description()}
 
@@ -54,7 +58,7 @@ def _laws(problem: Problem) -> list[str]:
 
 
 def _identity(problem: Problem) -> dict[str, Any]:
-    """What a checkpoint must have in common with the problem."""
+    """Properties that a checkpoint and the problem must share."""
     form = problem.form
     constants = [bc.value for bc in problem.bcs if isinstance(bc.value, fem.Constant)]
     return {
@@ -69,7 +73,7 @@ def _identity(problem: Problem) -> dict[str, Any]:
 
 
 def _mismatch(problem: Problem, path: str, state: dict[str, Any]) -> CheckpointError | None:
-    """What the state of a file has not in common with the problem, or None."""
+    """The first property that the file and the problem do not share, or None."""
     for what, here in _identity(problem).items():
         found = state.get(what, "[]" if what == "boundaries" else None)
         if found != here:
@@ -86,3 +90,59 @@ def _mismatch(problem: Problem, path: str, state: dict[str, Any]) -> CheckpointE
             'where boundaries were at first; load it into one with configuration="updated"'
         )
     return None
+
+
+class SavedState:
+    """A copy of a problem's state in memory, with points and rigid bodies. Collective.
+
+    Trials restore the state afterwards, and so leave no trace.
+
+    Args:
+        problem: The problem, between steps.
+    """
+
+    def __init__(self, problem: Problem):
+        self._problem, points = problem, problem.points
+        self._fields: Arrays = {name: points.fields.read(name).copy() for name in points.fields}
+        self._of_markers = [set(markers.fields) for markers in self._markers]
+        self._partition = points.partition
+        self._state = problem.state()
+        self._history = list(problem.history)
+        # values set by the user since the last step
+        self._set = [(item, np.array(_array(item))) for item in problem.loads.items]
+        self._set += [(u, u.x.array.copy()) for u in self._increments]
+        self._dt = float(points.dt.value)
+
+    @property
+    def _markers(self) -> list[Any]:
+        return [of.boundary.markers for of in self._problem.form.boundaries]
+
+    @property
+    def _increments(self) -> list[Any]:
+        return [space.increment for space in self._problem.form.spaces]
+
+    def restore(self) -> None:
+        """Restore the state. Points go back to their ranks. Collective."""
+        problem, points = self._problem, self._problem.points
+        for name in [*points.fields]:
+            if name not in self._fields:
+                del points.fields[name]
+        for name, values in self._fields.items():
+            points.fields[name] = values.copy()
+        points.partition = self._partition
+        points.recount()
+        for markers, names in zip(self._markers, self._of_markers):
+            for name in [*markers.fields]:
+                if name not in names:
+                    del markers.fields[name]
+        problem.set_state(self._state)
+        problem.history[:] = self._history
+        for item, values in self._set:
+            _array(item)[...] = values
+        points.dt.value = self._dt
+
+
+def _array(item: Any) -> npt.NDArray[np.float64]:
+    """The values of a DOLFINx constant or function."""
+    values: npt.NDArray[np.float64] = item.x.array if hasattr(item, "x") else item.value
+    return values

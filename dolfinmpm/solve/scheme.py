@@ -18,14 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.solve.advance import advance
+from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.problemchecks import refuse_time
 from dolfinmpm.solve.step import Step, StepRecord
-from dolfinmpm.solve.timeless import refuse_time
 
 if TYPE_CHECKING:
-    from dolfinmpm.solve.problem import Problem
+    pass
 
 __all__ = ["Scheme", "Static"]
 
@@ -72,7 +71,7 @@ class Scheme:
 
 
 class Static(Scheme):
-    """Forces balance at the end of each step, without inertia; a step goes a share of the load."""
+    """Forces balance at the end of each step, without inertia. Steps are shares of the load."""
 
     def begin(self, problem: Any, t: float | None) -> None:
         """Begin a call of `step`. Collective.
@@ -86,7 +85,7 @@ class Static(Scheme):
         """
         refuse_time(t, type(problem).__name__)
 
-    def part(self, done: float, share: float) -> Step:
+    def substep(self, done: float, share: float) -> Step:
         """The next substep.
 
         Args:
@@ -101,7 +100,7 @@ class Static(Scheme):
         return Operator(problem.form, problem.activate(step))
 
     def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:
-        """The state at the end of a step, or why there is none. Collective.
+        """The state at the end of a step, or the reason of a failure. Collective.
 
         Args:
             problem: The problem.
@@ -109,7 +108,7 @@ class Static(Scheme):
             x: The owned unknowns, shape (owned,).
             step: The step or substep.
         """
-        return ended(problem, operator)
+        return new_state(problem, operator)
 
     def count(self, work: float) -> None:
         """Add the work done by rigid bodies in a step (J)."""
@@ -123,17 +122,3 @@ class Static(Scheme):
         Args:
             record: Record of the call, or None after an error.
         """
-
-
-def ended(
-    problem: Problem, operator: Operator, kept: Mapping[str, Array] | None = None
-) -> NewState | str:
-    """The new state for the present increments of the equations; see `advance`.
-
-    Args:
-        problem: The problem.
-        operator: The equations.
-        kept: Fields carried by the form, if they are known already.
-    """
-    cell, number = largest_cell(problem.points.grid), len(problem.history) + 1
-    return advance(operator, problem.form.updates, problem.moves, cell, number, kept=kept)

@@ -1,4 +1,4 @@
-"""A displacement and a pressure solved for in blocks, and the pressure's Schur complement."""
+"""Block solution of a displacement and a pressure, with the pressure's Schur complement."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 import scipy
 from petsc4py import PETSc
 
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.spectra import near_kernel_within
 
 __all__ = ["prepare", "schur_matrix", "split"]
 
-# By which −Σ_j B_ij diag(A)_j⁻¹ B̄_ji is the pressure's lumped mass over λ + 2μ. On trilinear
-# functions it is 64 (λ + 4μ)/(27 (λ + 2μ)), 3.7 at ν = 0.3, on bilinear ones 3.4, on quadratic
-# splines in 3D 2.9. A factor of 2 costs an iteration or two.
+# Factor between −Σ_j B_ij diag(A)_j⁻¹ B̄_ji and the pressure's lumped mass over λ + 2μ. It is
+# 64 (λ + 4μ)/(27 (λ + 2μ)) for trilinear functions, 3.7 at ν = 0.3; 3.4 for bilinear functions; 2.9
+# for quadratic splines in 3D. A wrong factor of 2 costs an iteration or two.
 _MASS = 3.0
 
 
 def split(pc: PETSc.PC, here: Activation, A: PETSc.Mat) -> None:
-    """Tell PETSc which rows are of which field, and rigid modes of the first. Collective."""
+    """Set the rows of both fields, and the rigid modes of the first, in PETSc. Collective."""
     unknowns = here.unknowns
     first = A.getOwnershipRange()[0]
     parts = []
@@ -30,13 +30,13 @@ def split(pc: PETSc.PC, here: Activation, A: PETSc.Mat) -> None:
         parts.append(PETSc.IS().createGeneral(first + rows, comm=unknowns.comm))
     parts[0].compose("nearnullspace", near_kernel_within(here, A, parts[0]))
     pc.setFieldSplitIS(("u", parts[0]), ("p", parts[1]))
-    # they go with the matrix
+    # the matrix keeps the rows for `prepare`
     A.compose("rows of u", parts[0])
     A.compose("rows of p", parts[1])
 
 
 def prepare(pc: PETSc.PC, A: PETSc.Mat, options: Options) -> None:
-    """Give a new preconditioner its Schur complement, unless options do. Collective."""
+    """Set the Schur complement of a new preconditioner, unless options do. Collective."""
     if options.has("pc_fieldsplit_schur_precondition"):
         return
     S = schur_matrix(A, A.query("rows of u"), A.query("rows of p"))
@@ -46,10 +46,10 @@ def prepare(pc: PETSc.PC, A: PETSc.Mat, options: Options) -> None:
 def schur_matrix(A: PETSc.Mat, of_u: PETSc.IS, of_p: PETSc.IS) -> PETSc.Mat:
     """C + D for the Schur complement C − B A⁻¹ B̄ of a tangent (A, B̄; B, C). Collective.
 
-    −B A⁻¹ B̄ is, at any wave number, a mass of the pressure over the modulus of the soil, which a
-    diagonal D has as well as C has what is stored and what flows. D is found from the tangent, so
-    that it is as stiff as the soil is where it yields, in layers and in cut cells. The usual
-    −B diag(A)⁻¹ B̄ is h² times a Laplacian instead: it takes smooth pressures for free, more so on
+    −B A⁻¹ B̄ is, for any wave number, a mass of the pressure over the modulus of the soil. A
+    diagonal D can represent it; C represents storage and flow. D follows from the tangent, so that
+    it has the stiffness of the soil where the soil yields, in layers and in cut cells. The usual
+    −B diag(A)⁻¹ B̄ is h² times a Laplacian instead. It underestimates smooth pressures, more so on
     finer grids.
 
     Args:

@@ -1,4 +1,4 @@
-"""Shares of Newton's steps where contact comes and goes, by secants."""
+"""Length of Newton steps by secants, for contact that opens and closes."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ __all__ = ["Secants"]
 
 Array = npt.NDArray[np.float64]
 
-# Share of the residual's component along a step that may be left of it, and how often it is looked
-# for where there is less
+# Share of the residual's component along the step that may remain, and most trials to reach it
 _LEFT, _MOST = 0.5, 5
-# Where that is looked for: up to twice the step, and no nearer than a tenth of it
+# Longest and shortest step in these trials, as shares of Newton's step
 _FURTHEST, _NEAREST = 2.0, 0.1
-# How often a step is halved that ends where some strain has no stress
+# Most halvings of a step at whose end a law has no stress
 _HALVINGS = 9
-# To what share, and how often, a step is shortened along which the residual grows at first
+# Factor, and most uses of it, to shorten a step along which the residual grows at first
 _SHORTER, _SHORTENINGS = 0.4, 3
-# A share that brings nothing on, and how many of these in a row are the end
-_NOTHING, _ENOUGH = 0.05, 2
+# A step of less than this share is useless; this number of useless steps in a row is a failure
+_USELESS, _ENOUGH = 0.05, 2
 
 
-class Place(NamedTuple):
-    """A place along a step.
+class TrialState(NamedTuple):
+    """A trial state along a step.
 
     Attributes:
         share: Share of the step.
-        found: The residual there.
-        along: Its component along the step (J).
+        found: The residual in this state.
+        along: Component of the residual along the step (J).
     """
 
     share: float
@@ -44,47 +43,47 @@ class Place(NamedTuple):
 
 
 class Secants:
-    """Looks for the share of a step where the residual has no component along it.
+    """Search of the share of a step at which the residual has no component along the step.
 
-    A step is taken whole where it leaves at most half of the component that there was, so that
-    Newton's method converges as it does without; else secants look for where none is left
-    (Matthies & Strang 1979, doi 10.1002/nme.1620141104, with the Illinois variant of the false
-    position, Dowell & Jarratt 1971, doi 10.1007/BF01934364). Where the component does not fall
-    along the step, since the tangent is not definite, the residual's norm counts.
+    The whole step is taken if it leaves at most half of the component. So Newton's method keeps its
+    convergence. Else secants look for a component of zero (Matthies & Strang 1979, doi
+    10.1002/nme.1620141104, with the Illinois variant of the false position, Dowell & Jarratt 1971,
+    doi 10.1007/BF01934364). With an indefinite tangent the component may grow along the step. Then
+    the norm of the residual is reduced instead.
 
     Args:
         comm: Communicator of the problem.
         residual: The residual as a function of the owned unknowns. Collective.
 
     Attributes:
-        idle: How many steps in a row have brought nothing on.
+        useless: Number of useless steps in a row.
     """
 
     def __init__(self, comm: MPI.Intracomm, residual: Callable[[Array], Residual]):
         self._comm, self._residual = comm, residual
-        self.idle = 0
+        self.useless = 0
 
     @property
     def stuck(self) -> bool:
-        """Whether steps bring nothing on any more."""
-        return self.idle >= _ENOUGH
+        """Whether the last steps were useless."""
+        return self.useless >= _ENOUGH
 
     def find(self, x: Array, step: Array, now: Residual) -> tuple[float, Residual]:
-        """Share of a step to be taken, and the residual there, which was found last. Collective.
+        """Share of a step to take, and the residual there, evaluated last. Collective.
 
         Args:
             x: Owned unknowns, shape (owned,).
-            step: Newton's step from there, likewise.
-            now: The residual there.
+            step: Newton's step from x, shape (owned,).
+            now: The residual at x.
         """
-        looked: list[Place] = []
+        trials: list[TrialState] = []
 
-        def at(share: float) -> Place:
+        def at(share: float) -> TrialState:
             found = self._residual(x + share * step)
-            looked.append(Place(share, found, self._along(step, found)))
-            return looked[-1]
+            trials.append(TrialState(share, found, self._along(step, found)))
+            return trials[-1]
 
-        start, end = Place(0.0, now, self._along(step, now)), at(1.0)
+        start, end = TrialState(0.0, now, self._along(step, now)), at(1.0)
         for _ in range(_HALVINGS):
             if math.isfinite(end.found.norm):
                 break
@@ -93,8 +92,8 @@ class Secants:
         best = end
         if math.isfinite(end.found.norm):
             best = (_shorten if grows else _false_position)(at, start, end)
-        self.idle = self.idle + 1 if grows or best.share < _NOTHING else 0
-        if best is not looked[-1]:
+        self.useless = self.useless + 1 if grows or best.share < _USELESS else 0
+        if best is not trials[-1]:
             best = at(best.share)
         return best.share, best.found
 
@@ -102,8 +101,10 @@ class Secants:
         return self._comm.allreduce(float(step @ found.values), op=MPI.SUM)
 
 
-def _false_position(at: Callable[[float], Place], start: Place, end: Place) -> Place:
-    """Where the component is small enough, or the last place looked at. Collective."""
+def _false_position(
+    at: Callable[[float], TrialState], start: TrialState, end: TrialState
+) -> TrialState:
+    """The trial state with a small enough component, or the last trial state. Collective."""
     enough, nearest = _LEFT * abs(start.along), _NEAREST * end.share
     other, along = start, start.along
     for _ in range(_MOST):
@@ -112,7 +113,7 @@ def _false_position(at: Callable[[float], Place], start: Place, end: Place) -> P
         share = end.share - end.along * (end.share - other.share) / (end.along - along)
         share = min(max(share, nearest), _FURTHEST)
         if share == end.share:
-            # the nearest or the furthest, where it has been looked at
+            # the shortest or longest step has been tried already
             break
         there = at(share)
         if not math.isfinite(there.found.norm):
@@ -125,8 +126,8 @@ def _false_position(at: Callable[[float], Place], start: Place, end: Place) -> P
     return end
 
 
-def _shorten(at: Callable[[float], Place], start: Place, end: Place) -> Place:
-    """The place of the least norm on ever shorter steps, until it has fallen. Collective."""
+def _shorten(at: Callable[[float], TrialState], start: TrialState, end: TrialState) -> TrialState:
+    """The trial state with the smallest norm, on shorter and shorter steps. Collective."""
     best = end
     for k in range(_SHORTENINGS):
         if best.found.norm < start.found.norm:

@@ -1,4 +1,4 @@
-"""What a problem is made of: stabilisations with their moduli, and updates of fields."""
+"""Preparation of a problem's form: stabilisations with moduli, and updates of fields."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.assembly.ownstress import OwnStress
-from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.assembly.pointupdates import PointUpdates
+from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Field, movers
+from dolfinmpm.cut.activation import Field, movers
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
 from dolfinmpm.forms.ghostterms import penalty_of
 from dolfinmpm.forms.hoop import check_hoop
-from dolfinmpm.kinematics.strainmarks import ENERGY, MARKS
+from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Stabilisations", "updates_of", "with_moduli", "with_stabilisations"]
@@ -35,12 +35,12 @@ def with_moduli(
 ) -> list[Stabilisation]:
     """The fields' stabilisations, with moduli of the form's laws by default. Collective.
 
-    Of several laws, and of moduli that vary, it takes the largest: too stiff a penalty costs
-    less than one that leaves the stiffest cells ill-conditioned.
+    The largest modulus of all laws and points is taken. A penalty that is too stiff costs less than
+    a penalty that leaves the stiffest cells ill-conditioned.
 
     Raises:
-        ParameterError: One needs a modulus that no law in the form has, or that is none of a
-            field that is no displacement.
+        ParameterError: A stabilisation needs a modulus, and no law in the form has one, or the
+            field is no displacement.
     """
     made = []
     for k, (stabilisation, space) in enumerate(zip(stabilisations, spaces)):
@@ -83,11 +83,11 @@ def _with_modulus(
 def with_stabilisations(
     form: ufl.Form, fields: Sequence[Field], points: MaterialPoints
 ) -> tuple[ufl.Form, ufl.Form | None, ufl.Form | None]:
-    """The form with the forces of the fields' stabilisations, and what is no force on increments.
+    """The form with the forces of the fields' stabilisations, and further terms of them.
 
     Returns:
-        The form; what the stabilisations add to the tangent only; and ghost penalties on what a
-        step changes of the velocity, of fields whose nodes are tied beside their stabilisation.
+        The form; the soft stiffness; and ghost penalties on the change of velocity in a step, for
+        fields with constraints besides their stabilisation.
     """
     soft = changes = None
     for field in fields:
@@ -98,7 +98,7 @@ def with_stabilisations(
             and stabilisation.kind == "ghost"
             and stabilisation.factor is None
         ):
-            # ties have done what the factors of splines are for
+            # constraints have the effect of the larger factors for splines already
             stabilisation = replace(stabilisation, factor=1.0)
         extra = stabilisation.force_terms(points, *trial, known)
         if field.beside is not None:
@@ -112,13 +112,13 @@ def _sum(first: ufl.Form | None, second: ufl.Form | None) -> ufl.Form | None:
     return first if second is None else second if first is None else first + second
 
 
-def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates | OwnStress]:
-    """Fields that a converged step sets: those of laws and terms, and those given. Collective.
+def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates | UFLStress]:
+    """Fields set by a converged step: those of laws and terms, and the user's. Collective.
 
     Raises:
         FormError: An expression lacks the hoop term of axisymmetric points.
     """
-    made: list[PointUpdates | OwnStress] = [
+    made: list[PointUpdates | UFLStress] = [
         PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)
         for declaration in form.parts.declarations
         if declaration.updates
@@ -135,21 +135,23 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
     return [*made, *_own_stresses(form, given)]
 
 
-def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[OwnStress]:
-    """What terms in UFL say of the stress of points without a law; the form notes them.
+def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[UFLStress]:
+    """Stresses of points without a law, from terms in UFL. They are stored in the form.
 
-    None where the form or the user sees to the field `stress`.
+    The list is empty if the form or the user sets the field `stress`.
     """
     moving = movers(form.spaces)
     without = [r for r in form.regions if not r.ruled(form.parts.declarations)]
     regions = [r for r in without if any(r.strains(k) for k in moving)]
-    seen = any(("field", "stress") in region.slots.sources.values() for region in form.regions)
+    seen = any(
+        ("field", "stress") in region.placeholders.sources.values() for region in form.regions
+    )
     if not regions or seen or "stress" in given:
         return []
     integrals, mark = form.parts.tagged.integrals, MARKS[ENERGY]
     shape = (form.points.gdim,)
     if any(form.spaces[k].increment.ufl_shape != shape for k in moving):
         return []
-    made = [OwnStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
+    made = [UFLStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
     form.own = [one for one in made if one.known]
     return form.own

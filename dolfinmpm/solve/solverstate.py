@@ -1,7 +1,7 @@
-"""What the solver of implicit steps keeps, so that a run goes on as if it had not been interrupted.
+"""State of the solver of implicit steps, so that a restarted run gives the same figures.
 
-Results do not depend on most of it, but their last bits do: the couplings that the matrix
-has kept decide in which order it is factorised.
+Most of this state changes only the last bits of results. For example, the couplings kept by the
+matrix decide the order of its factorisation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class SolverState:
         self._problem = problem
 
     def state(self) -> dict[str, Any]:
-        """All of it; see `dolfinmpm.assembly.state`."""
+        """The state, by name; see `dolfinmpm.assembly.state`."""
         problem, newton = self._problem, self._problem.newton
         found: dict[str, Any] = {
             "share": problem.share,
@@ -41,7 +41,7 @@ class SolverState:
         return found | {name: Local(values) for name, values in newton.guess.state().items()}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Take what `state` returned, and forget what was found since. Collective."""
+        """Restore a state returned by `state`, and discard later data. Collective."""
         problem, newton = self._problem, self._problem.newton
         newton.linear.forget()
         problem.share = values["share"]

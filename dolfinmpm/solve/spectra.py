@@ -11,25 +11,26 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import check_kind, coordinates
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 
 __all__ = ["condition_number", "critical_step", "near_kernel", "near_kernel_within", "rigid_modes"]
 
 Array = npt.NDArray[np.float64]
 
-# Up to so many unknowns all eigenvalues are computed; beyond, Lanczos finds the ends.
+# Up to this number of unknowns, all eigenvalues are computed. Beyond, Lanczos iterations find the
+# smallest and the largest eigenvalue.
 DENSE_LIMIT = 1500
 
 
 def _definite_spectrum(A: Array) -> Array:
-    """Eigenvalues of a positive definite matrix, the smallest ones with all their digits too.
+    """Eigenvalues of a positive definite matrix, also small ones with all their digits.
 
-    After scaling to a unit diagonal the Cholesky factor keeps the graded entries
-    apart, which a direct eigenvalue solver would drown in rounding.
+    The Cholesky factor after scaling to a unit diagonal keeps entries of different sizes separate.
+    A direct eigenvalue solver would lose small entries by rounding.
     """
     from scipy import linalg
 
@@ -46,8 +47,8 @@ def _definite_spectrum(A: Array) -> Array:
 def _singular_values(A: Array) -> Array:
     """Singular values of a well-conditioned matrix with scaled columns, each with all its digits.
 
-    LAPACK's preconditioned one-sided Jacobi rotations (Drmač & Veselić 2008, doi
-    10.1137/050639193); an SVD by bidiagonalisation loses those below 1e-16 of the largest.
+    LAPACK's preconditioned one-sided Jacobi rotations find them (Drmač & Veselić 2008, doi
+    10.1137/050639193). An SVD by bidiagonalisation loses values below 1e-16 of the largest.
     """
     # joba = 0: accurate whatever the scales of the columns are; jobu, jobv = 3: no vectors
     from scipy import linalg
@@ -69,14 +70,14 @@ def _dense(matrix: PETSc.Mat) -> Array:
 
 
 def _check_matrix(what: str, given: Any) -> None:
-    """Raise ParameterError unless it is a square matrix of PETSc."""
+    """Raise ParameterError unless an argument is a square PETSc matrix."""
     check_kind(what, given, PETSc.Mat, "give problem.stiffness(), or another matrix of PETSc")
     if given.getSize()[0] != given.getSize()[1]:
         raise ParameterError(f"{what} is of {given.getSize()} rows and columns and must be square")
 
 
 def _kernel_of(matrix: PETSc.Mat, kernel: Any) -> Array | None:
-    """Vectors to be left out, checked. Collective."""
+    """The checked vectors of the kernel. Collective."""
     comm, rows = matrix.comm.tompi4py(), matrix.getLocalSize()[0]
 
     def checked() -> Array | None:
@@ -99,19 +100,27 @@ def _kernel_of(matrix: PETSc.Mat, kernel: Any) -> Array | None:
     return found
 
 
-@together(own=("kernel",))
+@collective(local=("kernel",))
 def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float:
     """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
 
     Args:
         matrix: Symmetric, positive semi-definite.
-        kernel: Vectors to be left out, such as rigid modes, shape (owned rows, n).
+        kernel: Vectors to leave out, such as rigid modes, shape (owned rows, n).
 
     Returns:
-        The ratio, or inf where the smallest eigenvalue is zero or negative.
+        The ratio, or inf if the smallest eigenvalue is zero or negative.
 
     Raises:
-        ParameterError: It is no matrix, has no rows, or the kernel has others.
+        ParameterError: The argument is no square PETSc matrix with rows, or the kernel has other
+            rows.
+
+    >>> import dolfinmpm as mpm
+    >>> from petsc4py import PETSc
+    >>> K = PETSc.Mat().createDense((2, 2), array=[[2.0, 0.0], [0.0, 50.0]])
+    >>> K.assemble()
+    >>> round(mpm.study.condition_number(K), 9)
+    25.0
     """
     from scipy import linalg
 
@@ -164,12 +173,12 @@ def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:
         return eps.getEigenvalue(0).real if eps.getConverged() else math.nan
 
     high = solve(SLEPc.EPS.Which.LARGEST_REAL)
-    # a little below zero, so that the kernel does not make the shifted matrix singular
+    # slightly below zero, so that a kernel does not make the shifted matrix singular
     low = solve(SLEPc.EPS.Which.TARGET_REAL, -1e-12 * high)
     return low, high
 
 
-@together
+@collective
 def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False) -> float:
     """Largest stable step of central differences, 2/√λ_max of K x = λ M x (s). Collective.
 
@@ -179,10 +188,21 @@ def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False
         lumped: Whether M is replaced by its row sums.
 
     Returns:
-        The step, or 0 where M is singular.
+        The step, or 0 if M is singular.
 
     Raises:
-        ParameterError: They are no matrices of the same size.
+        ParameterError: The arguments are no square PETSc matrices of one size.
+
+    A mass of 1 kg at a spring of 100 N/m, 2/ω:
+
+    >>> import dolfinmpm as mpm
+    >>> from petsc4py import PETSc
+    >>> K = PETSc.Mat().createDense((1, 1), array=[[100.0]])
+    >>> M = PETSc.Mat().createDense((1, 1), array=[[1.0]])
+    >>> K.assemble()
+    >>> M.assemble()
+    >>> round(mpm.study.critical_step(K, M), 9)
+    0.2
     """
     from scipy import linalg
 
@@ -199,13 +219,13 @@ def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False
     K, M = _dense(stiffness), _dense(mass)
     if lumped:
         M = np.diag(M.sum(axis=1))
-    # functions that end where a point is have neither: they take no part
+    # functions without points inside have neither mass nor stiffness; they are left out
     used = (np.diag(M) > 0) | (np.diag(K) > 0)
     K, M = K[np.ix_(used, used)], M[np.ix_(used, used)]
     if np.any(np.diag(M) <= 0):
         return 0.0
     n = len(M)
-    # nodes of little mass are scaled up first: it is their ratio to K that counts
+    # scaling keeps digits at nodes of small mass, because only their ratio to K counts
     scale = 1 / np.sqrt(np.diag(M))
     K, M = (0.5 * np.outer(scale, scale) * (A + A.T) for A in (K, M))
     try:
@@ -245,11 +265,11 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
 def _motions(comm: MPI.Comm, x: Array) -> list[Array]:
     """Orthonormal rigid motions of nodes at positions, shape (nodes here, d) each. Collective.
 
-    PETSc makes such modes, too, but sums them up as vectors lie in memory, so that they differ by
-    rounding from run to run, and so do the hierarchies that are made of them.
+    PETSc makes such modes, too. But its sums depend on the position of vectors in memory. So modes
+    and multigrid hierarchies would differ by rounding from run to run.
     """
     d = x.shape[1]
-    # about the middle, so that rotations do not drown in translations
+    # rotations about the mean position, so that translations do not dominate them
     x = x - comm.allreduce(x.sum(axis=0)) / comm.allreduce(len(x))
     modes = [np.tile(row, (len(x), 1)) for row in np.eye(d)]
     for i, j in itertools.combinations(range(d), 2):
@@ -259,21 +279,21 @@ def _motions(comm: MPI.Comm, x: Array) -> list[Array]:
     for k, mode in enumerate(modes):
         for before in modes[:k]:
             mode -= comm.allreduce(float(np.vdot(before, mode))) * before
-        # nodes in a line do not turn about it
+        # nodes on a line have no rotation about this line
         mode /= math.sqrt(comm.allreduce(float(np.vdot(mode, mode)))) or 1.0
     return modes
 
 
 def _rigid(unknowns: Unknowns, x: Array) -> list[Array]:
-    """Orthonormal rigid modes in the owned rows, of nodes that have all components. Collective."""
+    """Orthonormal rigid modes in the owned rows, for nodes with all components. Collective."""
     return [unknowns.shared_out(mode.ravel()) for mode in _motions(unknowns.comm, x)]
 
 
 def near_kernel(here: Activation, matrix: PETSc.Mat) -> PETSc.NullSpace:
-    """Rigid modes of unknowns in blocks, held ones too, for multigrid. Collective.
+    """Rigid modes of unknowns in blocks, with prescribed ones, for multigrid. Collective.
 
-    They are those of the nodes that remain behind C, which continues them: it reproduces linear
-    functions.
+    They are the modes of the independent nodes of C. C reproduces linear functions, so other nodes
+    follow the modes.
     """
     unknowns, basis = here.unknowns, here.fields[0].basis
     nodes = unknowns.fields[0].owned_nodes
@@ -285,10 +305,10 @@ def near_kernel(here: Activation, matrix: PETSc.Mat) -> PETSc.NullSpace:
 
 
 def near_kernel_within(here: Activation, matrix: PETSc.Mat, rows: PETSc.IS) -> PETSc.NullSpace:
-    """Rigid modes of a displacement that is the first of several fields, without held components.
+    """Rigid modes of the first of several fields, a displacement, without prescribed components.
 
     Args:
-        here: What is active.
+        here: The activation.
         matrix: The tangent of all fields.
         rows: Rows of the displacement.
     """
@@ -311,15 +331,27 @@ def near_kernel_within(here: Activation, matrix: PETSc.Mat, rows: PETSc.IS) -> P
     return PETSc.NullSpace().create(vectors=modes, comm=unknowns.comm)
 
 
-@together
+@collective
 def rigid_modes(here: Activation) -> Array:
-    """Translations and rotations in the unknowns of a first field, shape (owned unknowns, n).
+    """Translations and rotations in the unknowns of a single field, shape (owned unknowns, n).
 
-    Orthonormal, and exact for every basis that reproduces linear functions. There are none
-    if conditions hold the body anywhere. Collective.
+    The modes are orthonormal, and exact for every basis that reproduces linear functions. There are
+    no modes if conditions hold the body anywhere. Collective.
 
     Raises:
-        ParameterError: It is not what takes part in a step.
+        ParameterError: The argument is no activation.
+
+    A free body in two dimensions has three:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points)
+    >>> mpm.study.rigid_modes(problem.activate()).shape[1]
+    3
     """
     check_kind("here", here, Activation, "give problem.activate()")
     unknowns, basis = here.unknowns, here.fields[0].basis

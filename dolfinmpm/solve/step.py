@@ -1,8 +1,10 @@
-"""The request of a step, and its report."""
+"""A step, the record of a step, and the reason of a failure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+
+from dolfinmpm._platform.html import listing
 
 __all__ = ["Failed", "Step", "StepRecord"]
 
@@ -12,10 +14,10 @@ class Step:
     """A step, or a substep of a halved step.
 
     Attributes:
-        t: Its end. In problems with a time: the time (s). In others: the share of the way from
-            the load of the last converged step to the present load.
-        dt: Its length, in the same unit as t.
-        share: Its share of the whole step and of the prescribed increments.
+        t: End of the step: the time (s), or in problems without time the share of the change of
+            load since the last converged step.
+        dt: Length of the step, in the unit of t.
+        share: Share of the whole step and of the prescribed increments.
     """
 
     t: float = 1.0
@@ -25,12 +27,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Failed:
-    """Why a step failed.
+    """Reason of a failed step.
 
     Attributes:
         reason: The reason, in a few words.
         worst: The point whose law failed, or the most compressed point.
-        advice: Advice to the user, if any is known.
+        advice: Advice to the user, or an empty string.
     """
 
     reason: str
@@ -75,3 +77,8 @@ class StepRecord:
     seconds: float = 0.0
     stages: dict[str, float] = field(default_factory=dict)
     bodies: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        """The figures of the step as a table, for notebooks."""
+        names = "iterations", "parts", "halvings", "unknowns", "imbalance", "seconds"
+        return listing({name: getattr(self, name) for name in names}, "step")

@@ -17,11 +17,11 @@ __all__ = ["Substructures", "set_cholesky", "why_not"]
 
 Array = npt.NDArray[np.float64]
 
-# S may take so many times the operations of a rank's L: measured on blocks of soil in 2D and 3D
-# on two and three ranks. MUMPS is faster from about three times on.
+# Largest operations for S, as a multiple of those for a rank's L; measured on blocks of soil in 2D
+# and 3D on two and three ranks. From a multiple of about three, MUMPS is faster.
 _MOST_BETWEEN = 2.0
 
-# of how a factorisation ended; the worst end of all ranks counts
+# PETSc's reasons by the result of a factorisation; the worst result of all ranks counts
 _REASONS = {
     DONE: PETSc.PC.FailedReason.NOERROR,
     INDEFINITE: PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT,
@@ -30,16 +30,16 @@ _REASONS = {
 
 
 def why_not(comm: MPI.Intracomm) -> str:
-    """Why substructures cannot be on all ranks, or an empty text. Collective."""
+    """Reason against substructures on all ranks, or an empty text. Collective."""
     if comm.size == 1:
         return ""
-    # the first rank compiles for all that share a cache
+    # the first rank compiles for all ranks that share a cache
     first = comm.bcast(unavailable() if comm.rank == 0 else None)
     return first or max(comm.allgather(unavailable()))
 
 
 def set_cholesky(pc: PETSc.PC, A: PETSc.Mat) -> None:
-    """Let a preconditioner be a positive definite matrix's factors, as is fastest. Collective."""
+    """Set the fastest factors of a positive definite matrix as preconditioner. Collective."""
     A.setOption(PETSc.Mat.Option.SPD, True)
     comm = A.comm.tompi4py()
     if comm.size > 1 and not why_not(comm):
@@ -60,9 +60,9 @@ def set_cholesky(pc: PETSc.PC, A: PETSc.Mat) -> None:
 class Substructures:
     """The inverse of a symmetric positive definite matrix, as PETSc's preconditioner "python".
 
-    Unknowns G part those of the ranks, so that the interiors I_p are not coupled (George 1973,
-    doi 10.1137/0710032; Smith, Bjørstad & Gropp 1996, "Domain decomposition", ch. 4). Each rank
-    factorises its own part of A, with the unknowns G_p of G last that I_p couples to:
+    Unknowns G separate the ranks: their interiors I_p are not coupled (George 1973, doi
+    10.1137/0710032; Smith, Bjørstad & Gropp 1996, "Domain decomposition", ch. 4). Each rank
+    factorises its own part of A. The unknowns G_p of G that are coupled to I_p come last:
 
         B_p = (A_II, A_IG; A_GI, A_GG) = L Lᵀ.
 
@@ -70,13 +70,13 @@ class Substructures:
 
         S = A_GG + Σ_p (L_GG L_GGᵀ − A_GG of G_p)
 
-    is summed up and factorised as a dense matrix on every rank. A solution takes a sweep with L, a
-    sum over the ranks, a solution with S, and a sweep with Lᵀ. The solution is exact: A is positive
-    definite if and only if all B_p and S are.
+    is summed up and factorised as a dense matrix on every rank. A solution consists of a sweep with
+    L, a sum over the ranks, a solution with S, and a sweep with Lᵀ. The solution is exact. A is
+    positive definite if and only if all B_p and S are.
 
-    The symbolic factorisation is kept as long as the matrix has the same pattern. On a column of
-    64 x 256 cells and two ranks MUMPS takes 1.2 to 1.4 times as long per step, and additive
-    Schwarz with conjugate gradients twice as long.
+    The symbolic factorisation is kept as long as the pattern stays. On a column of 64 x 256 cells
+    and two ranks, MUMPS takes 1.2 to 1.4 times as long per step. Additive Schwarz with conjugate
+    gradients takes twice as long.
     """
 
     def __init__(self) -> None:
@@ -87,8 +87,8 @@ class Substructures:
         self._S: Any = None
 
     def pays(self, A: PETSc.Mat) -> bool:
-        """Whether substructures are likely to be fastest for a matrix; analyses it. Collective."""
-        # a matrix that has its pattern, but no entries yet, does not show the pattern
+        """Whether substructures are probably fastest for a matrix; analyses it. Collective."""
+        # PETSc shows a pattern only after assembly
         A.assemble()
         try:
             self._analyse(A, *A.getValuesCSR()[:2])
@@ -106,13 +106,13 @@ class Substructures:
         kept = self._pattern is not None and all(map(np.array_equal, self._pattern, pattern))
         if not A.comm.tompi4py().allreduce(kept, op=MPI.LAND):
             self._analyse(A, *pattern)
-        # as PETSc counts those of its own factors
+        # PETSc counts the flops of its own factors in the same way
         PETSc.Log.logFlops(self._factor.flops + self._between.size**3 / 3)
         self._ended = self._factorise(A)
         pc.setFailedReason(_REASONS[self._ended])
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve A x = b; infinite, as of PETSc's own factors, without factors. Collective."""
+        """Solve A x = b. Without factors x is infinite, as with PETSc's factors. Collective."""
         if self._ended == DONE:
             PETSc.Log.logFlops(4.0 * self._factor.entries + 2.0 * self._between.size**2)
             self._solve(b.getArray(readonly=True), x.getArray())
@@ -122,18 +122,18 @@ class Substructures:
     applyTranspose = apply
 
     def reset(self, pc: PETSc.PC) -> None:
-        """Let go of the factors."""
+        """Release the factors."""
         self._pattern = self._factor = self._S = self._parts = None
 
     def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:
-        """Say what it is."""
+        """Print a description."""
         if self._pattern is not None:
             viewer.printfASCII(f"    Cholesky by substructures, {self._between.size} between\n")
 
     # -- the method -------------------------------------------------------------------------
 
     def _analyse(self, A: PETSc.Mat, start: npt.NDArray, columns: npt.NDArray) -> None:
-        """Part the unknowns, and order those of this rank. Collective."""
+        """Separate the unknowns of the ranks, and order this rank's unknowns. Collective."""
         comm = self._comm = A.comm.tompi4py()
         low, high = A.getOwnershipRange()
         G = self._between = _separator(A, start, columns)
@@ -148,14 +148,14 @@ class Substructures:
         factor = self._factor = call_together(comm, lambda: Factor(B[0], B[1], late))
         self._pattern = start, columns
         placed = rows[factor.order]
-        # the places of own rows among L's, and G's of those that L has last
+        # places of this rank's rows in L, and places in G of the last rows of L
         self._places = np.empty(np.count_nonzero(self._inner), np.intp)
         first = np.isin(placed, near, invert=True)
         self._places[np.searchsorted(own[self._inner], placed[first])] = np.flatnonzero(first)
         self._late = np.searchsorted(G, placed[factor.late])
 
     def _factorise(self, A: PETSc.Mat) -> int:
-        """Make L, and the factors of S. Collective."""
+        """Factorise B and S. Collective."""
         from scipy.linalg import lapack
 
         A.createSubMatrices(self._where, self._where, submats=self._parts)
@@ -196,7 +196,7 @@ class Substructures:
 
 
 def _separator(A: PETSc.Mat, start: npt.NDArray, columns: npt.NDArray) -> npt.NDArray:
-    """Global rows without which those of different ranks are not coupled, increasing. Collective.
+    """Global rows that separate the rows of different ranks, increasing. Collective.
 
     Args:
         A: A matrix with a symmetric pattern.
@@ -209,7 +209,7 @@ def _separator(A: PETSc.Mat, start: npt.NDArray, columns: npt.NDArray) -> npt.ND
     rows = np.repeat(np.arange(low, low + start.size - 1, dtype=columns.dtype), np.diff(start))
     owner = np.searchsorted(ends, columns, side="right") - 1
     found = [columns[:0]]
-    # of each pair of ranks the first one decides: the fewer of the two sides
+    # per pair of ranks, the rank with the smaller number decides: it takes the smaller side
     for other in range(comm.rank + 1, comm.size):
         sides = (np.unique(one[owner == other]) for one in (rows, columns))
         found.append(min(sides, key=len))

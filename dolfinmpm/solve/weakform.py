@@ -1,4 +1,4 @@
-"""A weak form over points and grid, made ready for any activation: a sum of terms."""
+"""A weak form over points and grid as a sum of terms, prepared for any activation."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import ufl
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.gridassembler import GridAssembler
-from dolfinmpm.assembly.ownstress import OwnStress
+from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.term import ActiveTerm, Term
-from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
-from dolfinmpm.contact.means import Means
+from dolfinmpm.contact.meanforces import MeanForceWeights
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
-from dolfinmpm.cut.participants import Activation, ActiveField, Coupling, Participants
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.cut.regions import region_on
+from dolfinmpm.cut.regions import active_region
 from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
@@ -37,37 +37,37 @@ Array = npt.NDArray[np.float64]
 
 
 class WeakForm:
-    """A weak form over points and grid, made ready to be put on activations. Collective.
+    """A weak form over points and grid, prepared for activations. Collective.
 
-    It is the sum of what the points integrate and of other terms, which it does not know by name.
+    It is the sum of the points' integrals and of other terms. It knows no term by name.
 
     Args:
         form: Weak form, linear in the test functions.
         spaces: Spaces of the increments.
         points: Material points.
-        soft: Terms of the tangent only, or None.
-        changes: Penalties on what a step in time changes of the velocity, as terms of the
-            increments, or None.
+        soft: Soft stiffness, which is in the tangent only, or None.
+        changes: Penalties on the change of velocity in a step in time, as terms of the increments,
+            or None.
 
     Attributes:
-        given: The form as it was given.
-        parts: The form, split.
+        given: The form of the user.
+        parts: The form, split into its parts.
         spaces: The spaces.
         points: The material points.
         boundaries: Terms over boundaries that do not fit the grid.
-        grid: What DOLFINx assembles.
-        terms: All terms beside those of the points.
-        softened: Whether there are terms of the tangent only.
-        moduli: What of it has moduli of the laws' tangents at facets.
-        also: Subdomain ids that further forms need on the same activations.
-        means: How contacts act in the mean over steps in time, or None.
-        own: What terms in UFL say of the stress of points without a law.
+        grid: Integrals assembled by DOLFINx.
+        terms: All terms except the integrals over the points.
+        softened: Whether there is soft stiffness.
+        moduli: Moduli of the laws' tangents at facets, in terms of the form.
+        also: Subdomain ids that other forms need on the same activations.
+        means: Weights of contact forces in the mean over a step in time, or None.
+        own: Stresses of points without a law, from terms in UFL.
         updates: Fields of the points that a step sets to UFL expressions.
-        placed: How often the grid's lines had been placed anew when it last looked.
+        placed: Number of changes of the grid's lines at the last check.
 
     Raises:
-        FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
-            a law and there is none.
+        FormError: A term cannot be evaluated in its integral, or a penalty follows the tangent of
+            a law and the form has no law.
     """
 
     def __init__(
@@ -92,32 +92,37 @@ class WeakForm:
         self.terms: list[Term] = [*self.boundaries, *self.parts.terms, *grids]
         self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.means: Means | None = None
-        self.own: list[OwnStress] = []
-        self.updates: Sequence[PointUpdates | OwnStress] = ()
+        self.means: MeanForceWeights | None = None
+        self.own: list[UFLStress] = []
+        self.updates: Sequence[PointUpdates | UFLStress] = ()
         # none before the first step
         self._revision = -1
         found = [m for g in grids for m in g.moduli]
         self.moduli = [m for m in found if not isinstance(m, FacetRing)]
         self._first_moduli()
         for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
-            # what cannot be compiled is to be told now; tangents wait until a solver asks
+            # errors of compilation must show now; tangents wait until a solver needs them
             region.external, region.internal, region.operands  # noqa: B018
 
     def add(self, term: Term) -> None:
-        """Add a term that stands in no UFL form, such as the mass."""
+        """Add a term outside the UFL form, such as the mass."""
         self.terms.append(term)
 
-    def start_in_time(self, means: Means | None) -> None:
-        """Act in steps in time: contacts in the mean over a step, or with None at its start."""
+    def start_in_time(self, means: MeanForceWeights | None) -> None:
+        """Prepare for steps in time.
+
+        Args:
+            means: Weights of contact forces in the mean over a step; None if contact acts at the
+                start of a step.
+        """
         self.means = means
         for term in self.terms:
             term.start_in_time(means)
 
     def on(self, here: Activation) -> tuple[Evaluation, dict[Term, ActiveTerm]]:
-        """What the points integrate, and its other terms, on an activation. Collective.
+        """The points' integrals, and the other terms, on an activation. Collective.
 
-        A second form on an activation that was made for another has parts of the body of its own.
+        The activation may belong to another form. Then this form makes its own parts of the body.
         """
         for field in self.parts.carried:
             if isinstance(field, CellOffset):
@@ -125,7 +130,7 @@ class WeakForm:
                 self.points[field.name] = cell_offsets(here.where, of)
         parts = here.regions
         if here.terms is not self:
-            parts = [region_on(r, self.points, here) for r in self.regions]
+            parts = [active_region(r, self.points, here) for r in self.regions]
             if self.parts.grid:
                 self.grid.attach(here.fields)
         evaluation = Evaluation(self.regions, self.points, here.unknowns, parts)
@@ -133,16 +138,16 @@ class WeakForm:
         return evaluation, {term: one for term, one in found.items() if one is not None}
 
     def bind(self) -> None:
-        """Let laws give points that came since what they keep at first. Collective.
+        """Set initial values of the laws at new points. Collective.
 
         Raises:
-            FormError: When it is called first, if tags of the form match no points, or points
-                have a load and no law.
+            FormError: In the first call: tags of the form match no points, or points have a load
+                and no law.
         """
         first, revision = self._revision < 0, self.points.revision
         if first:
             self.parts.tagged.check()
-        # fields may have been set since the problem was made
+        # the user may have set fields after making the problem
         if first or self._revision != revision:
             for declaration in self.parts.declarations:
                 declaration.bind()
@@ -152,10 +157,10 @@ class WeakForm:
             self._first_moduli()
 
     def _laws_of(self, modulus: FacetModulus) -> list[Declaration]:
-        """The laws whose tangent a modulus follows.
+        """The laws whose tangent gives a modulus.
 
         Raises:
-            FormError: There is none.
+            FormError: There is no such law.
         """
         found = [d for d in self.parts.declarations if d.u is modulus.increment]
         if not found:
@@ -168,18 +173,18 @@ class WeakForm:
         return found
 
     def _elastic(self) -> Array:
-        """Elastic moduli at the points (Pa), shape (points, 2); 0 where no law is asked."""
+        """Elastic moduli at the points (Pa), shape (points, 2); 0 at points without such a law."""
         laws = {id(d): d for modulus in self.moduli for d in self._laws_of(modulus)}
         return self._moduli_of(list(laws.values()))
 
     def _moduli_of(self, laws: Sequence[Declaration]) -> Array:
         out = np.zeros((len(self.points), 2))
         for declaration in laws:
-            out[declaration.rows] = declaration.moduli()
+            out[declaration.rows] = declaration.elastic.moduli()
         return out
 
     def place(self) -> None:
-        """Make terms ready for an activation. Collective."""
+        """Prepare the terms for an activation. Collective."""
         for term in self.terms:
             term.place()
 
@@ -198,7 +203,7 @@ class WeakForm:
             boundary.set_penalties(here, lambda: self._moduli_of(laws), increments, stabilised)
 
     def _first_moduli(self) -> None:
-        """Give points that have no moduli of a tangent yet the elastic ones."""
+        """Set elastic moduli at points without moduli of a tangent."""
         if not self.moduli:
             return
         self.points.add_field(FIELD, (2,), "Pa")
@@ -209,7 +214,7 @@ class WeakForm:
         """Moduli of tangents within bounds; elastic ones where laws are energies (Pa).
 
         Args:
-            moduli: What `Evaluation.moduli` gives.
+            moduli: Result of `Evaluation.moduli`.
         """
         elastic = self._elastic()
         found = bounded(moduli, elastic)
@@ -220,25 +225,25 @@ class WeakForm:
 
     @property
     def values(self) -> list[str | None]:
-        """Field of the points that has what each field was, where the form carries it."""
+        """Per field: name of the points' field with its values if the form carries it, or None."""
         kept = [f for f in self.parts.carried if isinstance(f, CarriedField)]
         return [
             next((f.name for f in kept if f.of is space.increment), None) for space in self.spaces
         ]
 
     @property
-    def storing(self) -> list[Declaration | OwnStress]:
-        """What stores energy at points: laws, and terms in UFL where there is none."""
+    def storing(self) -> list[Declaration | UFLStress]:
+        """Laws, and terms in UFL of points without a law, which store energy."""
         return [*self.parts.declarations, *self.own]
 
     @property
     def regions(self) -> list[PointTerms]:
-        """Parts of the body with terms of their own."""
+        """Parts of the body, each with its terms."""
         return self.parts.regions
 
     @property
     def moving(self) -> set[int]:
-        """Subdomain ids of the facets and cells that it integrates over as they are active."""
+        """Subdomain ids of the active facets and cells over which it integrates."""
         return self.also.union(*(term.moving for term in self.terms))
 
     @property
@@ -246,30 +251,30 @@ class WeakForm:
         """DOLFINx constants and functions in the form."""
         found: list[Any] = []
         for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
-            # numbers of laws are no loads
-            found += [c for c in region.slots.constants if not isinstance(c, LawConstant)]
-            found += [function for function, _ in region.slots.functions]
+            # parameters of laws are no loads
+            found += [c for c in region.placeholders.constants if not isinstance(c, LawConstant)]
+            found += [function for function, _ in region.placeholders.functions]
         return found + [load for term in self.terms for load in term.loads]
 
     @property
     def layers(self) -> int:
-        """Layers of cells around the cells of a rank that its terms look at, at least."""
+        """Layers of cells around the cells of a rank that its terms need."""
         return max((term.layers for term in self.terms), default=0)
 
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
-        """Blocks of its terms that are the same for a whole step, by their kind. Collective."""
+        """Blocks of its terms that are constant in a step, by kind. Collective."""
         found: dict[str, list[Blocks]] = {}
         for term in self.terms:
             for kind, own in term.blocks(fields).items():
                 found.setdefault(kind, []).extend(own)
         return found
 
-    def couple(self, here: Participants) -> list[Coupling]:
-        """Which nodes its terms couple beside those that the points couple. Collective."""
+    def couple(self, here: ActiveDomain) -> list[Coupling]:
+        """Couplings of nodes by its terms, besides the couplings by the points. Collective."""
         return [one for term in self.terms for one in term.couple(here)]
 
     def regrid(self) -> None:
-        """Forget what belongs to where the grid's lines were."""
+        """Discard data that depend on the old grid lines."""
         self.placed = times_regridded(self.points.grid)
         for term in self.terms:
             term.regrid()

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import ufl
 
-from dolfinmpm._platform.checks import check_kind, number
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.stabilisations import Stabilisation
-from dolfinmpm.dynamics.mass import Mass, MassTerms
+from dolfinmpm.dynamics.mass import MassTerms
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import cell_size, mean_size
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
@@ -32,6 +33,18 @@ class Conditioning:
         dt_lumped: Critical step (s) with the lumped mass of explicit steps: row sums M_L without
             penalty, or Cᵀ M_L C with constraints C.
         unknowns: Number of unknowns.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom")
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+    >>> found = mpm.study.conditioning(problem, density=2000.0)
+    >>> 0 < found.dt_consistent < found.dt_lumped
+    True
     """
 
     kappa_K: float
@@ -41,7 +54,7 @@ class Conditioning:
     unknowns: int
 
 
-@together
+@collective
 def conditioning(
     problem: QuasiStatic, density: float, factor: float = 1.0, extra: ufl.Form | None = None
 ) -> Conditioning:
@@ -60,6 +73,18 @@ def conditioning(
     Raises:
         ParameterError: The problem has no tangent; density is not positive; gamma is negative; or
             extra is no UFL form.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom")
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+    >>> found = mpm.study.conditioning(problem, density=2000.0)
+    >>> round(found.kappa_K), found.unknowns
+    (49, 20)
     """
     check_kind("problem", problem, QuasiStatic, "give a problem with a tangent")
     number("density", density, 0.0, unit="kg/m^d")

@@ -10,20 +10,20 @@ from types import TracebackType
 import numpy as np
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import number, whole
+from dolfinmpm._platform.argumentchecks import number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.transient import Transient
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.large import LargeStrain
-from dolfinmpm.kinematics.small import SmallStrain
+from dolfinmpm.kinematics.largestrain import LargeStrain
+from dolfinmpm.kinematics.smallstrain import SmallStrain
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.bordered import Bordered
-from dolfinmpm.solve.keptstate import KeptState
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.solve.restart import SavedState
 from dolfinmpm.study.trial import Trial, largest_norm
 
 __all__ = ["FromState"]
@@ -94,7 +94,7 @@ class FromState:
 
     def __enter__(self) -> FromState:
         problem = self._problem
-        self._kept = KeptState(problem)
+        self._kept = SavedState(problem)
         self._own = problem.solver, problem.here, problem.kept, problem.max_halvings
         # trials get their own solver, so that they leave no trace in the problem's solver
         newton, solver = problem.newton.anew(), problem.solver
@@ -115,7 +115,7 @@ class FromState:
     ) -> None:
         problem = self._problem
         self._weaken(None)
-        self._kept.put()
+        self._kept.restore()
         problem.solver, problem.here, problem.kept, problem.max_halvings = self._own
 
     def __call__(self, factor: float) -> Trial:
@@ -126,7 +126,7 @@ class FromState:
         """
         points = self._problem.points
         self._weaken(None)
-        self._kept.put()
+        self._kept.restore()
         points.fields[_BEFORE] = points["x"].copy()
         with self._at_rest():
             return self._reduced(factor)
@@ -177,7 +177,7 @@ class FromState:
             condition if condition.kind == "value" else replace(condition, value=0.0, velocity=None)
             for condition in held.conditions
         ]
-        problem.held = Held(still, problem.form.spaces)
+        problem.held = EssentialConditions(still, problem.form.spaces)
         try:
             yield
         finally:
@@ -218,7 +218,7 @@ def _moved_by(problem: QuasiStatic, operator: Operator) -> np.ndarray:
     if here.unknowns.total == 0:
         return np.zeros(here.unknowns.owned)
     linear.attach(operator)
-    operator.start()
+    operator.move_to_start()
     force = here.unknowns.restrict(operator.forces())
     if len(here.movers) == len(here.fields):
         assert linear.matrix is not None

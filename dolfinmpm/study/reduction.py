@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     DegreesWarning,
@@ -15,7 +16,6 @@ from dolfinmpm._platform.errors import (
     PointsOutsideGridError,
     warn,
 )
-from dolfinmpm._platform.together import meet
 from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -40,6 +40,11 @@ def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> t
 
     Warns:
         DegreesWarning: The angle looks like an angle in radians.
+
+    >>> import dolfinmpm as mpm
+    >>> c, phi = mpm.study.reduced_strength(cohesion=10e3, friction_angle=20.0, factor=1.4)
+    >>> round(c, 1), round(phi, 2)
+    (7142.9, 14.57)
     """
     number("factor", factor, 0.0)
     number("cohesion", cohesion, 0.0, unit="Pa", closed=True)
@@ -111,6 +116,23 @@ def factor_of_safety(
         ParameterError: A number is out of range; the loading is no generator of problems or has
             fewer than two steps; no law has a strength, or a law does not tell its strength; the
             body fails already at `low`, or still stands at `high`.
+
+    An undrained block under its own weight, in coarse steps:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> import ufl
+    >>> F = mpm.momentum(mpm.materials.Tresca(1e6, 0.3, 15e3), points, V.increment, V.test)
+    >>> F -= ufl.inner(points.density * ufl.as_vector((0.0, -9.81)), V.test) * points.dX
+    >>> bcs = mpm.fixed(V, "bottom")
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+    >>> record = problem.step()
+    >>> found = mpm.study.factor_of_safety(problem, 1.0, 4.0, tolerance=0.5, steps=2)
+    >>> found.bracket, [(t.factor, t.stands) for t in found.trials]
+    ((2.125, 2.5), [(1.0, True), (1.75, True), (2.125, True), (2.5, False), (4.0, False)])
     """
     if not 0 < number("low", low) < number("high", high):
         raise ParameterError(f"low = {low} and high = {high} must be positive and increase")
@@ -120,7 +142,7 @@ def factor_of_safety(
         raise ParameterError(f"growth = {growth} must be more than 1, usually 2 to 10")
     if isinstance(loading, QuasiStatic):
         limits = {"low": low, "high": high, "tolerance": tolerance, "growth": growth}
-        meet(loading.comm, "factor_of_safety", **limits, steps=steps, over=over)
+        check_same_call(loading.comm, "factor_of_safety", **limits, steps=steps, over=over)
         with FromState(loading, growth, steps, over) as attempt:
             found = _search(attempt, low, high, tolerance, label)
         failure = (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress
 
@@ -73,6 +73,11 @@ def sweep(scene: Callable[..., Any], places: Sequence[Any], *, label: str = "") 
 
     Raises:
         ParameterError: The list of places is empty, or the scene returns no figures.
+
+    >>> import dolfinmpm as mpm
+    >>> rows = mpm.study.sweep(lambda offset: {"fill": 1.0 - offset}, [0.25, 0.5])
+    >>> rows
+    [{'place': 0.25, 'fill': 0.75}, {'place': 0.5, 'fill': 0.5}]
     """
     listed = _several("places", places)
     return [{"place": place, **_figures(scene, place)} for place in progress(listed, label)]
@@ -101,6 +106,13 @@ def convergence(
 
     Raises:
         ParameterError: A size is not positive, or a named error is not among the figures.
+
+    >>> import dolfinmpm as mpm
+    >>> for row in mpm.study.convergence(lambda h: h**2, [0.5, 0.25, 0.125]):
+    ...     print(row)
+    {'h': 0.5, 'error': 0.25, 'error_order': None}
+    {'h': 0.25, 'error': 0.0625, 'error_order': 2.0}
+    {'h': 0.125, 'error': 0.015625, 'error_order': 2.0}
     """
     try:
         h = np.asarray(sizes, float)
@@ -169,6 +181,10 @@ def overall_order(
 
     Raises:
         ParameterError: The numbers of errors and sizes differ.
+
+    >>> import dolfinmpm as mpm
+    >>> round(mpm.study.overall_order([0.4, 0.2, 0.1], [0.16, 0.05, 0.01]), 3)
+    2.0
     """
     h, e = _of_equal_lengths(sizes, errors)
     known = np.isfinite(e) & (e > 0)
@@ -190,6 +206,12 @@ def worst(rows: Iterable[Row]) -> dict[str, float]:
 
     Raises:
         ParameterError: The list is empty, or a row lacks one of these figures.
+
+    >>> import dolfinmpm as mpm
+    >>> from dolfinmpm.study import Conditioning
+    >>> found = {0.1: Conditioning(9.0, 2.0, 0.4, 0.6, 8), 0.2: Conditioning(8.0, 3.0, 0.3, 0.7, 8)}
+    >>> mpm.study.worst(mpm.study.sweep(found.get, list(found)))
+    {'kappa_K': 9.0, 'kappa_M': 3.0, 'dt_consistent': 0.3, 'dt_lumped': 0.6}
     """
     rows = _several("rows", rows)
     choose = {"kappa_K": max, "kappa_M": max, "dt_consistent": min, "dt_lumped": min}

@@ -31,6 +31,14 @@ class Trial:
         displacement: Largest displacement of a material point in these steps (m).
         growth: Growth of the displacement, as `factor_of_safety` defines it (-).
         iterations: Number of Newton iterations in these steps.
+
+    A trial that failed:
+
+    >>> import dolfinmpm as mpm
+    >>> from dolfinmpm.study import Trial
+    >>> fails = Trial(2.0, False, "growth", steps=3, displacement=0.05, growth=5.0, iterations=20)
+    >>> f"at {fails.factor}: " + ("stands" if fails.stands else f"fails by {fails.reason}")
+    'at 2.0: fails by growth'
     """
 
     factor: float
@@ -51,6 +59,16 @@ class FactorOfSafety:
         bracket: Largest factor at which the body stands, and smallest factor at which it fails.
         trials: The trials, by increasing factor.
         criterion: Criterion of failure, in words.
+
+    As `factor_of_safety` returns it:
+
+    >>> import dolfinmpm as mpm
+    >>> from dolfinmpm.study import FactorOfSafety, Trial
+    >>> stands = Trial(1.0, True, "", steps=5, displacement=0.01, growth=1.0, iterations=15)
+    >>> fails = Trial(2.0, False, "growth", steps=3, displacement=0.05, growth=5.0, iterations=20)
+    >>> found = FactorOfSafety(1.5, (1.0, 2.0), (stands, fails), "growth above 3")
+    >>> found.factor, [trial.stands for trial in found.trials]
+    (1.5, [True, False])
     """
 
     factor: float

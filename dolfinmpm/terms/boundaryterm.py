@@ -13,22 +13,22 @@ from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.nitschepenalty import trace_constants
+from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.state import Local
 from dolfinmpm.assembly.term import NewState, Term
-from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
-from dolfinmpm.cut.regions import regions_of
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.regions import active_boundary_regions
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import lattice_of, smallest_height
 from dolfinmpm.kinematics.nitsche import TRACE
-from dolfinmpm.terms.referencemarkers import refer
+from dolfinmpm.terms.referencemarkers import reference_wall
 
 __all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
 
@@ -83,13 +83,15 @@ class BoundaryTerm(Term):
         if self._of.stateful:
             take_state(self.boundary, self._of.tags)
         if markers.configuration == "total" and not self.boundary.follows:
-            refer(self.boundary)
+            reference_wall(self.boundary)
 
     def on(self, here: Activation) -> ActiveBoundaryTerm:
         """See `Term`."""
         mine = any(self is of for of in here.terms.boundaries)
         known = here.boundaries[self.markers.number].regions
-        return ActiveBoundaryTerm(self, here, known if mine else regions_of(self, here))
+        return ActiveBoundaryTerm(
+            self, here, known if mine else active_boundary_regions(self, here)
+        )
 
     def set_penalties(
         self,
@@ -120,7 +122,7 @@ class BoundaryTerm(Term):
             if not (stabilised and len(fields) == 1 and _stays(self.boundary, rows)):
                 at = np.zeros((len(markers), 2))
                 for one in self.declarations:
-                    at[one.rows] = one.moduli()
+                    at[one.rows] = one.elastic.moduli()
                 found = trace_constants(here, k, self.boundary, moduli(), at)
                 markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
                 markers[f"{TRACE}_cell"] = _middles(self.boundary)
@@ -133,7 +135,7 @@ class BoundaryTerm(Term):
         return f"boundary of {self.markers.total} markers"
 
     def state(self) -> dict[str, Any]:
-        """The markers' state in the order of their numbers, and this rank's markers. Collective."""
+        """State of the markers in the order of their numbers, and local numbers. Collective."""
         markers, names = self.markers, self._kept
         found = markers.comm.bcast(markers.gather(*names))
         placed = markers.partition is self.boundary.points.partition
@@ -152,10 +154,10 @@ class BoundaryTerm(Term):
         if order is not None:
             placed, number = order.values[0], order.values[1:].copy()
             if not placed:
-                # the next step finds their ranks, as it would have done
+                # the next step finds the ranks of the markers
                 markers.partition = None
             for name, old in markers.fields.items():
-                # the state of the nearest points is taken anew
+                # the state of the nearest points is copied below
                 markers.fields[name] = np.zeros((len(number), *old.shape[1:]), old.dtype)
             markers.fields["id"] = number
         for name in names:
@@ -170,7 +172,7 @@ class BoundaryTerm(Term):
 
     @property
     def _kept(self) -> list[str]:
-        """Names of the markers' fields that are not of the nearest point."""
+        """Names of the markers' fields that are not copies of the nearest point's fields."""
         state = {*self.boundary.points.fields, "body_x", "body_l", "body_x0"}
         state = (state - {"x", "V", "x0", "V0"}) | {"cell"}
         return sorted(name for name in self.markers.fields if name not in state)
@@ -246,6 +248,6 @@ def _outside(boundary: Boundary, x: Array, to: Destinations, step: int):
         return None
     return PointsOutsideGridError(
         f"{lost.size} markers of {boundary} would leave the grid in step {step}, one from "
-        f"{boundary.markers['x'][lost[0]]} m to {x[lost[0]]} m. The state is that before it: "
-        "enlarge the grid, or let the boundary stay in space with follows=False"
+        f"{boundary.markers['x'][lost[0]]} m to {x[lost[0]]} m. The state is that before the step: "
+        "enlarge the grid, or keep the boundary in space with follows=False"
     )

@@ -12,8 +12,8 @@ from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.assembly.state import Local
 from dolfinmpm.assembly.stencilsums import Entries, add_blocks
 from dolfinmpm.assembly.term import ActiveTerm, Term
+from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.facetmoduli import FacetModulus, update
-from dolfinmpm.cut.participants import Activation, ActiveField
 from dolfinmpm.cut.pattern import Blocks
 
 __all__ = ["ActiveGridTerm", "GridTerm", "StepBlocks", "fill_functions"]

@@ -1,17 +1,16 @@
-"""Boundaries in total Lagrangian bases: positions of markers in the first configuration.
+"""Boundaries in total Lagrangian bases: initial positions of markers.
 
-Markers that follow the body stay at their first positions X as its points do. Their stencils are
-those of X, with gradients by present positions, ∇N = F⁻ᵀ ∇₀N, from the deformation gradient F of
-the markers themselves, a product over the steps; laws see that of the nearest point.
+Markers that follow the body keep their initial positions X, like the points. Their stencils are
+those at X, with gradients by present positions, ∇N = F⁻ᵀ ∇₀N. F is the deformation gradient of the
+markers, a product over the steps. Laws use F of the nearest point.
 
-A wall in space meets changing material. Its marker x, with the nearest point x_p, meets the
-material at
+A wall that stays in space meets changing material. A marker at x with the nearest point x_p meets
+the material at
 
-    X = X_p + F_p⁻¹ (x − x_p),
+    X = X_p + F_p⁻¹ (x − x_p).
 
-This is exact where F is uniform around the point. A wall may not have reached the body yet. It then
-uses the edge of the body in front of it: x is moved back along the normal to the domain of the
-point.
+This is exact if F is uniform around the point. A wall may not have reached the body yet. Then it
+uses the edge of the body in front of it: x moves back along the normal to the domain of the point.
 """
 
 from __future__ import annotations
@@ -28,32 +27,32 @@ from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.migration import settle
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.kinematics.coverage import look_ahead
+from dolfinmpm.kinematics.walldistance import look_ahead
 
-__all__ = ["refer", "require_reference"]
+__all__ = ["reference_wall", "require_reference"]
 
 # Beyond this distance from the nearest point, in cells, a wall meets no material
 _REACH = 2.0
-# The edge of a domain may be a grid line: markers go inwards by this share of its half-length
+# The edge of a domain may be a grid line: markers move inwards by this share of its half-length
 _INWARD = 1e-6
 
 
-def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> None:
-    """Make boundaries ready for stencils at first positions. Collective.
+def require_reference(boundaries: Sequence[Any], contacts: Sequence[Any]) -> None:
+    """Prepare boundaries for stencils at initial positions. Collective.
 
     Args:
         boundaries: Terms over boundaries.
-        touching: Contacts of bodies that deform.
+        contacts: Contacts of two deformable bodies.
 
     Raises:
         ParameterError: The initial position of a boundary is unknown, or the kind of boundary is
             not supported in this configuration.
     """
     total = 'Space(..., configuration="total")'
-    for contact in touching:
+    for contact in contacts:
         raise ParameterError(
-            f"{contact!r} looks for what faces what in space, and {total} keeps the cells of the "
-            'first positions; take "updated"'
+            f"{contact!r} searches facing points in space, and {total} keeps the cells of the "
+            'initial positions; give configuration="updated"'
         )
     for of in boundaries:
         boundary, markers = of.boundary, of.boundary.markers
@@ -61,7 +60,7 @@ def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> Non
             if boundary.activates:
                 raise ParameterError(
                     f"{boundary} stays in space and makes cells active, which {total} cannot "
-                    "follow; leave activates=True out, or take follows=True"
+                    "follow; leave activates=True out, or give follows=True"
                 )
             look_ahead(boundary)
             markers.add_field("body_x0", (boundary.gdim,), "m")
@@ -70,19 +69,19 @@ def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> Non
             moved = not np.array_equal(markers["x"], markers["x0"])
             if boundary.late or markers.comm.allreduce(moved, op=MPI.LOR):
                 raise ParameterError(
-                    f"it is not known where {boundary} was at first, which {total} needs: the body "
-                    "had moved before; make the boundary and the problem before the first step"
+                    f"the initial position of {boundary}, which {total} needs, is unknown: the "
+                    "body had moved before; make the boundary and the problem before the first step"
                 )
             e = markers.strain_dim
             markers.add_field(OWN, (e, e), "", np.eye(e))
         settle(markers, "total")
 
 
-def refer(boundary: Boundary) -> None:
-    """Find the first positions of the material at a wall. Collective.
+def reference_wall(boundary: Boundary) -> None:
+    """Find the initial positions of the material at a wall. Collective.
 
-    The wall's markers get the state of the nearest point, and move to the ranks of the cells
-    there.
+    The markers of the wall get the state of the nearest point, and move to the ranks of the cells
+    at the initial positions.
 
     Args:
         boundary: A boundary that stays in space.

@@ -19,11 +19,17 @@ NUMBERS = {
     "coupled_slope": ("limit", 5.231),
     "column_collapse": ("error", 2.609e-3),
     "column_compaction": ("error", 5.56e-4),
+    "diffusion": ("amplitude", 0.36958),
     "footing": ("factor", 5.242),
+    "gmsh_slope": ("factor", 1.3828),
     "incline": ("way", 2.4285),
+    "layered_ground": ("P", 68131.4),
+    "paraview_and_checkpoint": ("difference", 0.0),
+    "pipe": ("factor", 5.180),
     "plough": ("ratio", 6.2447),
     "growing_strip": ("angle", 2.3617),
     "new_stabilisation": ("worst", 0.5749),
+    "runout": ("push", 3.559e6),
     "slope_failure": ("limit", 5.4),
     "thick_cylinder": ("p", 0.9952),
     "vibrating_bar": ("period", 10.0028),
@@ -32,7 +38,7 @@ NUMBERS = {
 
 
 # tests of studies have what they show at smaller sizes
-_LONG = "column_collapse", "coupled_slope", "plough"
+_LONG = "column_collapse", "coupled_slope", "plough", "runout"
 
 
 @pytest.mark.parametrize(
@@ -44,6 +50,8 @@ _LONG = "column_collapse", "coupled_slope", "plough"
 )
 def test_alone(demo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    if demo == "gmsh_slope":
+        pytest.importorskip("gmsh")
     # as a user runs it: Numba remembers the name of the module in which a kernel was compiled
     names = runpy.run_path(str(ROOT / "demos" / f"{demo}.py"), run_name="__main__")
     name, value = NUMBERS[demo]
@@ -51,13 +59,16 @@ def test_alone(demo, tmp_path, monkeypatch):
     found = found["dt_consistent"] if demo == "new_stabilisation" else found
     found = found[-1] if demo == "thick_cylinder" else found
     assert found == pytest.approx(value, rel=2e-3)
-    (picture,) = (tmp_path / "output").iterdir()
+    (picture,) = (tmp_path / "output").glob("*.png")
     assert picture.name == f"{demo}.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 # tests/mpi has every part of them on several ranks, and so have the studies that go with them
-_TWO_RANKS = "consolidation", "incline", "slope_failure", "vibrating_bar"
+_TWO_RANKS = (
+    "consolidation", "diffusion", "gmsh_slope", "incline", "layered_ground",
+    "paraview_and_checkpoint", "pipe", "runout", "slope_failure", "vibrating_bar",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -66,9 +77,23 @@ _TWO_RANKS = "consolidation", "incline", "slope_failure", "vibrating_bar"
 )
 def test_on_two_ranks(demo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    if demo == "gmsh_slope":
+        pytest.importorskip("gmsh")
     done = start(f"demos/{demo}.py", ranks=2)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     assert (tmp_path / "output" / f"{demo}.png").stat().st_size > 0
+
+
+def test_files_for_paraview_are_complete(tmp_path, monkeypatch):
+    """Every series of the run and of its restart lists the times that it should, and files."""
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(ROOT / "demos/paraview_and_checkpoint.py"), run_name="__main__")
+    folder = tmp_path / "output" / "paraview_and_checkpoint"
+    for run, count in (("whole", 40), ("rest", 21)):
+        for kind in ("", "_grid", "_bodies"):
+            listed = re.findall(r'file="(.*?)"', (folder / f"{run}{kind}.pvd").read_text())
+            assert len(listed) == count
+            assert all((folder / name).stat().st_size > 0 for name in listed)
 
 
 def test_demos_are_short():

@@ -11,7 +11,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.collective import collective
 
 COMM = MPI.COMM_WORLD
 FIRST = COMM.rank == 0
@@ -103,7 +103,7 @@ def at_first() -> None:
     COMM.Barrier()
 
 
-@together
+@collective
 def work(comm: MPI.Comm, seconds: float, fails: bool = False, waits: bool = False) -> None:
     """A call whose last rank takes some seconds, or leaves it by an error that the others miss."""
     if comm.rank == comm.size - 1:

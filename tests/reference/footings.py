@@ -22,7 +22,8 @@ HERE = Path(__file__).resolve().parent
 if __name__ == "__main__":  # pytest sets this path itself
     sys.path.insert(0, str(HERE.parent))
 
-from reference.conforming import Body, Mesh
+from reference.conforming import Body
+from reference.conforming_mesh import Mesh
 
 from dolfinmpm._platform.errors import ConvergenceError, StateError
 from dolfinmpm.materials import CamClay, Law, Tresca

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.checks import choice, number, shown, whole
+from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     DegreesWarning,
@@ -22,7 +22,7 @@ from dolfinmpm._platform.errors import (
     IdleConditionWarning,
     ParameterError,
 )
-from dolfinmpm.basis.heldmotions import free_motions, idle
+from dolfinmpm.basis.conditionchecks import free_motions, idle
 from dolfinmpm.forms.formchecks import check_signs
 
 COMM = MPI.COMM_WORLD

@@ -15,7 +15,7 @@ from dolfinmpm.basis.bspline import extension_weights, greville, spline_weights
 from dolfinmpm.basis.lineweights import line_weights, overlapped
 from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import gather
-from dolfinmpm.basis.uniform import middle_count, middle_weights
+from dolfinmpm.basis.uniformweights import middle_count, middle_weights
 
 
 def everything(grid):

@@ -118,7 +118,7 @@ def test_a_scalar_spreads_as_on_the_coarse_grid(basis):
 def test_facets_in_parts_are_whole_ones(monkeypatch, basis, power):
     """Classes of coarse facets, against DOLFINx's integrals over their parts."""
     expected = moved(2, basis, "ghost", power=power, steps=1)[1]
-    monkeypatch.setattr("dolfinmpm.assembly.gridassembler.are_alike", lambda *_: False)
+    monkeypatch.setattr("dolfinmpm.assembly.gridassembler.uses_facet_classes", lambda *_: False)
     problem, found = moved(2, basis, "ghost", power=power, steps=1)
     assert not problem.form.grid.splines
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())

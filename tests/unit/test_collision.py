@@ -9,7 +9,7 @@ from conftest import unit_grid
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, ParameterError
-from dolfinmpm.dynamics.collision import BodyAtNodes, Touching
+from dolfinmpm.dynamics.collision import BodyAtNodes, NodalContact
 
 
 def at_nodes(n=200, d=3):
@@ -29,9 +29,9 @@ def test_momentum_is_kept_and_bodies_come_no_nearer(friction, room):
     bodies, v = at_nodes()
     before = [one.copy() for one in v]
     room = None if room is None else np.full(len(v[0]), room)
-    touching = Touching(bodies, room, friction)
-    touching.push(v)
-    got = touching.got
+    touching = NodalContact(bodies, room, friction)
+    touching.exchange(v)
+    got = touching.received
     m = [b.mass[:, None] for b in bodies]
     total = m[0] * v[0] + m[1] * v[1]
     np.testing.assert_allclose(total, m[0] * before[0] + m[1] * before[1], atol=1e-13)

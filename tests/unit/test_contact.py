@@ -10,9 +10,9 @@ from contactscenes import compressed
 from dolfinx import fem
 
 import dolfinmpm as mpm
-from dolfinmpm.contact.making import surface_of
-from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
+from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS, contact_forces
 from dolfinmpm.contact.pose import Pose, rotation_of
+from dolfinmpm.contact.shapesurface import surface_of
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.freebodies import FreeBodies
 
@@ -78,7 +78,7 @@ def test_poses_go_back_and_forth():
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 2.0])
-def test_forces_on_corners_have_their_derivative(friction):
+def test_contact_forces_have_their_derivative(friction):
     """Of a curved surface, in all three states, with and without multipliers."""
     rng, m = np.random.default_rng(2), 200
     surface = surface_of(mpm.Ball((0, 0, 0), 1.0), 0.0)
@@ -93,7 +93,7 @@ def test_forces_on_corners_have_their_derivative(friction):
     def forces(x):
         out = [np.empty((m, 3)), np.empty((m, 3)), np.empty(m), np.empty((m, 3, 3))]
         state = np.empty(m, np.int8)
-        forces_on_corners(
+        contact_forces(
             *surface.probe(x), x, start, before, multiplier, eN, eT, friction, held, *out, state
         )
         return *out, state
@@ -166,7 +166,7 @@ def test_a_step_that_fails_leaves_body_and_slip_as_they_were():
     points = problem.points
     before = {name: values.copy() for name, values in points.fields.items()}
     place, force = body.position.copy(), body.force.copy()
-    assert np.abs(points["contact1_traction"]).max() > 0
+    assert np.abs(points["contact1_tangential_force"]).max() > 0
     problem.newton.max_iterations, problem.max_halvings = 1, 1
     problem.newton.tolerance = 1e-13
     with pytest.raises(mpm.errors.ConvergenceError):

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, FormError, ParameterError
-from dolfinmpm.contact.making import surface_of
+from dolfinmpm.contact.shapesurface import surface_of
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 FACES = surface_of(mpm.Box((0, 0, 0), (1, 1, 1)), 0.0).facets
@@ -56,7 +56,7 @@ def test_broken_meshes_are_refused(tmp_path):
     turned[3] = turned[3, ::-1]
     flat = np.vstack([FACES, [[0, 1, 0]]])
     for facets, words in (
-        (FACES[1:], "is open: 3 edges have one facet only"),
+        (FACES[1:], "is open: 3 edges at the rim of a hole have one facet only"),
         (FACES[:, ::-1], "inside out"),
         (turned, "normals disagree"),
         (np.vstack([FACES, FACES[:1]]), "meets itself"),
@@ -67,7 +67,7 @@ def test_broken_meshes_are_refused(tmp_path):
         mpm.RigidBody(meshio.Mesh(CUBE, [("triangle", flat)]))
     with pytest.raises(ParameterError, match="must be finite"):
         mpm.RigidBody(meshio.Mesh(CUBE * [np.nan, 1, 1], [("triangle", FACES)]))
-    with pytest.raises(ParameterError, match="of triangles"):
+    with pytest.raises(ParameterError, match="has triangles"):
         mpm.RigidBody(meshio.Mesh(CUBE, [("tetra", np.array([[0, 1, 2, 4]]))]))
     with pytest.raises(OSError, match="no file"):
         mpm.RigidBody(str(tmp_path / "missing.stl"))
@@ -89,8 +89,8 @@ def test_bodies_that_cannot_be():
         (lambda: mpm.RigidBody(disc, angular_velocity=np.nan), "1 finite numbers"),
         (lambda: mpm.RigidBody(disc, displacement=(0, 1)), "function of time or a dolfinx"),
         (lambda: mpm.RigidBody(disc, displacement=constant), "must have 2"),
-        (lambda: mpm.RigidBody(disc, velocity=(0, 0), displacement=lambda t: (0, t)), "leave one"),
-        (lambda: mpm.RigidBody(disc, velocity=(0, 0), increment=(0, 0)), "given at once; leave"),
+        (lambda: mpm.RigidBody(disc, velocity=(0, 0), displacement=lambda t: (0, t)), "only one"),
+        (lambda: mpm.RigidBody(disc, velocity=(0, 0), increment=(0, 0)), "given at once; give"),
         (lambda: mpm.RigidBody(disc, rotation_increment=(0, 1)), "1 finite numbers"),
         (lambda: mpm.RigidBody(disc, fillet=-1.0), "fillet"),
         (lambda: mpm.RigidBody(disc, name="a disc"), "identifier"),
@@ -98,7 +98,7 @@ def test_bodies_that_cannot_be():
         (lambda: mpm.RigidBody(disc, mass=1.0), "needs its inertia"),
         (lambda: mpm.RigidBody(disc, mass=1.0, inertia=-1.0), "inertia = -1"),
         (lambda: mpm.RigidBody(disc, gravity=(0, -1)), "acts on a mass"),
-        (lambda: mpm.RigidBody(disc, free=(True, False), force=(0, 1)), "3 components"),
+        (lambda: mpm.RigidBody(disc, free=(True, False), force=(0, 1)), "must have 3 values"),
         (lambda: mpm.Plane((0, 0), (0, 0)), "point and a normal"),
         (lambda: mpm.Wedge((0, 0), 95.0, 1.0), "semi_angle = 95 degrees"),
         (lambda: mpm.Cone((0, 0, 0), 1.0, 30.0, 1.0), "length = 1 m"),
@@ -211,7 +211,7 @@ def test_a_next_stage_goes_on_with_a_body(kind):
     time = () if kind is mpm.QuasiStatic else (1e-3,)
     stage.step(*time)
     assert block.body.position[1] < place
-    with pytest.raises(ParameterError, match="make one for each problem"):
+    with pytest.raises(ParameterError, match="make a body per problem"):
         block.problem.step()
 
 
@@ -241,7 +241,7 @@ def test_no_friction_and_much_of_it(friction):
         block.problem.step()
     assert block.body.force[1] > 0
     (contact,) = block.problem.bodies.contacts
-    across = np.abs(block.points["contact1_traction"]).max()
+    across = np.abs(block.points["contact1_tangential_force"]).max()
     assert (across > 0) == (friction > 0)
     assert contact.dissipated >= 0
 

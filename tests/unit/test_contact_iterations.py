@@ -9,7 +9,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.contact.activecontact import ActiveContact
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.solve import method
 
 
@@ -74,15 +74,15 @@ def test_corners_that_cannot_have_come_so_far_are_not_looked_at(monkeypatch):
     u = np.random.default_rng(0).uniform(-3e-3, 3e-3, operator.increments[0].shape)
     contact.touch([u], 1.0)
     assert 0 < sum(asked) < 0.5 * len(contact.x)
-    kept = contact.forces.copy(), contact.pressures.copy(), contact.states.copy()
+    kept = contact.forces.copy(), contact.now.normal.copy(), contact.states.copy()
     assert kept[1].max() > 0
     # all of them, as if any might have come near
     contact.start.gap[:] = -1.0
     contact.touch([u], 1.0)
     assert asked[-1] == len(contact.x)
-    for before, now in zip(kept, (contact.forces, contact.pressures, contact.states)):
+    for before, now in zip(kept, (contact.forces, contact.now.normal, contact.states)):
         np.testing.assert_array_equal(before, now)
-    assert isinstance(contact, ActiveContact)
+    assert isinstance(contact, ActiveRigidContact)
 
 
 def wedged(**options):

@@ -11,8 +11,8 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, InstabilityError, ParameterError
-from dolfinmpm.contact.making import surface_of
-from dolfinmpm.contact.passing import entered, half_thickness, passes
+from dolfinmpm.contact.shapesurface import surface_of
+from dolfinmpm.contact.tunnelling import entered, half_thickness, passes
 
 STEPS_IN_TIME = mpm.Newmark, mpm.GeneralisedAlpha
 # all begin a little above a block whose top is at y = 0.8; its cells are of 0.1 m

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from dolfinmpm.contact.penalty import lessened
-from dolfinmpm.contact.starts import held_back, stored_by
-from dolfinmpm.dynamics.gains import Gains
+from dolfinmpm.contact.contactlaw import explicit_reduction
+from dolfinmpm.contact.storedenergy import bounding_multipliers, normal_energy
+from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.ledger import Work
-from dolfinmpm.dynamics.reserve import Reserve
 
 
 def begun(energy, stiffness, V):
     """A reserve of so much energy at the start of a step of 2 s, with Φ(v) = stiffness v·v."""
-    reserve = Reserve()
+    reserve = PenaltyEnergy()
     reserve.energy[0] = energy
     mass = SimpleNamespace(inner=lambda v, blocks, w: stiffness * float(np.sum(v * w)))
     here = SimpleNamespace(blocks_of=lambda kind, k: [kind, k])
@@ -42,7 +41,7 @@ def test_a_reserve_of_rounding_is_none():
 
 
 def test_fields_have_reserves_of_their_own():
-    reserve, V = Reserve(), np.ones((1, 2))
+    reserve, V = PenaltyEnergy(), np.ones((1, 2))
     reserve.energy[0] = 0.5
     mass = SimpleNamespace(inner=lambda v, blocks, w: float(np.sum(v * w)))
     here = SimpleNamespace(blocks_of=lambda kind, k: [kind, k])
@@ -52,7 +51,7 @@ def test_fields_have_reserves_of_their_own():
 
 
 def test_a_step_that_makes_energy_is_parted():
-    gains, works = Gains(), [Work(internal=x) for x in (0.3, -0.2, 0.3)]
+    gains, works = EnergyGain(), [Work(internal=x) for x in (0.3, -0.2, 0.3)]
     assert "makes 0.3 J" in gains.judge(works[0], 0.0, 100.0, True)
     assert gains.made == 0.0
     # one that may not be parted counts, and one that loses is always taken
@@ -66,11 +65,10 @@ def test_a_step_that_makes_energy_is_parted():
 @pytest.mark.parametrize("spare", [0.0, 0.4, 1e3])
 def test_places_start_with_no_more_than_they_had(spare):
     k, q = np.array([2.0, 3.0, 4.0]), np.array([1.0, -5.0, 4.0])
-    none = np.zeros((3, 2))
-    stored = stored_by(q, none, k, 0.0)
+    stored = normal_energy(q, k)
     assert stored == pytest.approx([0.25, 0.0, 2.0])
-    held = held_back(q, stored, np.zeros(3), 1.5, spare, MPI.COMM_SELF)
-    started = stored_by(q + held, none, k, 0.0).sum()
+    held = bounding_multipliers(q, stored.sum(), 0.0, 1.5 + spare, MPI.COMM_SELF)
+    started = normal_energy(q + held, k).sum()
     assert started == pytest.approx(min(2.25, 1.5 + spare))
     assert held[1] == 0.0
 
@@ -82,7 +80,7 @@ def bounced(dt, offset, corrects):
         p = max(-x, 0.0)
         last = p
         if corrects:
-            p -= float(lessened(np.array([x]), np.array([-v * dt]), np.array([p]))[0])
+            p -= float(explicit_reduction(np.array([x]), np.array([-v * dt]), np.array([p]))[0])
         v += dt * p
         x += dt * v
         if x > 4.0 * dt and v > 0.0:

@@ -261,7 +261,7 @@ def test_a_run_goes_on_from_a_checkpoint(tmp_path):
     [
         ("skew", {}, 'method="skew"'),
         ("penalty", {"mass": "consistent"}, 'take mass="lumped"'),
-        ("penalty", {"collision": mpm.Collision(tags=(1, 2))}, "leave it or collision out"),
+        ("penalty", {"collision": mpm.Collision(tags=(1, 2))}, "terms or collision"),
     ],
     ids=["skew", "consistent", "collision"],
 )

@@ -15,7 +15,7 @@ from scipy.interpolate import NdBSpline
 import dolfinmpm as mpm
 from dolfinmpm.assembly.splinefacets import FacetBlock
 from dolfinmpm.body.points import GHOST_FACETS
-from dolfinmpm.cut.active import GhostFacets
+from dolfinmpm.cut.activecells import GhostFacets
 
 SPLINES = ("bspline2", "bspline3")
 BASES = ("linear", "gimp", *SPLINES)
@@ -75,7 +75,7 @@ def on_splines(problem):
 
 def every_facet(monkeypatch):
     """From now on DOLFINx integrates over every facet."""
-    monkeypatch.setattr("dolfinmpm.assembly.gridassembler.are_alike", lambda *_: False)
+    monkeypatch.setattr("dolfinmpm.assembly.gridassembler.uses_facet_classes", lambda *_: False)
 
 
 def check(monkeypatch, make, tolerance=1e-11):
@@ -147,7 +147,7 @@ def check_ghost(problem):
     block = problem.form.grid._jacobian[0, 0]
     assert isinstance(block, FacetBlock)
     A, gdim = matrix_of(problem), problem.points.gdim
-    assert len(np.unique(block._direction)) == gdim
+    assert len(np.unique(block.facets.couplings.direction)) == gdim
     np.testing.assert_allclose(A, A.T, atol=1e-11 * np.abs(A).max())
     rng = np.random.default_rng(1)
     for i in range(gdim):
@@ -177,7 +177,7 @@ def test_linear_functions_by_dolfinx(basis, gdim, monkeypatch):
     check(monkeypatch, lambda: problem_of(grid, basis, one_sided), 1e-13)
     # one class a direction, or two where DOLFINx numbers the upper cell first
     block = problem.form.grid._jacobian[0, 0]
-    assert gdim <= block._codes.size <= 2 * gdim
+    assert gdim <= len(block.facets.examples) <= 2 * gdim
 
 
 @pytest.mark.parametrize("gdim", [1, 2, 3])
@@ -185,9 +185,9 @@ def test_what_the_classes_leave_out(gdim):
     """DOLFINx integrates over fewer facets than there are."""
     problem = problem_of(box(*CELLS[gdim]), "bspline2", ghost)
     block = problem.form.grid._jacobian[0, 0]
-    assert 0 < block._codes.size <= problem.here.ghost_facets
-    assert gdim == 1 or block._codes.size < problem.here.ghost_facets
-    assert block._kind.size == problem.here.ghost_facets
+    assert 0 < len(block.facets.examples) <= problem.here.ghost_facets
+    assert gdim == 1 or len(block.facets.examples) < problem.here.ghost_facets
+    assert block.facets.kind.size == problem.here.ghost_facets
 
 
 def one_sided(points, u, v):
@@ -208,7 +208,7 @@ def test_a_term_of_ones_own(basis, gdim, monkeypatch):
     block = problem.form.grid._jacobian[0, 0]
     A = matrix_of(problem)
     assert np.abs(A - A.T).max() > 0.05 * np.abs(A).max()
-    assert all(t.shape[-1] == gdim**2 for t in block._tensors.values())
+    assert all(t.shape[-1] == gdim**2 for t in block._kept.tensors.values())
 
 
 @pytest.mark.parametrize("basis", SPLINES)
@@ -268,11 +268,11 @@ def test_points_that_move(monkeypatch):
     grid = box(12, 9)
     problem = problem_of(grid, "bspline2", ghost)
     block = problem.form.grid._jacobian[0, 0]
-    before = dict(block._tensors)
+    before = dict(block._kept.tensors)
     problem.points["x"][:] = problem.points["x"] * [0.9, 0.8] + [0.6, 0.2]
     problem.activate()
-    assert before.keys() < block._tensors.keys()
-    assert all(block._tensors[code] is tensor for code, tensor in before.items())
+    assert before.keys() < block._kept.tensors.keys()
+    assert all(block._kept.tensors[code] is tensor for code, tensor in before.items())
     every_facet(monkeypatch)
     reference = problem_of(grid, "bspline2", ghost)
     reference.points["x"][:] = reference.points["x"] * [0.9, 0.8] + [0.6, 0.2]

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.making import surface_of
+from dolfinmpm.contact.shapesurface import surface_of
 
 
 def hull(x):

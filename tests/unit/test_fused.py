@@ -19,7 +19,6 @@ LONG = pytest.mark.long
 FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "l")
 HENCKY, NEO = Hencky(E=1e5, nu=0.3), NeoHookean(E=1e5, nu=0.3)
 STEEL = VonMises(E=1e5, nu=0.3, radius=2e3)
-LOOSE = MohrCoulomb(1e5, 0.3, 0.0, 22.0)
 CLAY = CamClay(
     swelling=0.018,
     compression=0.13,
@@ -176,76 +175,6 @@ def test_pairs(d, measure, basis, scheme, mapping, more):
 
 def test_strain_before_stress():
     compare(basis="bspline2", averaged=False, scheme="usf")
-
-
-SHARED = [
-    {"basis": "gimp", "scheme": "musl", "law": LOOSE},
-    {"basis": "linear", "scheme": "usl", "law": HENCKY},
-    {"basis": "bspline2", "averaged": False, "scheme": "usl", "law": HENCKY, "strain": "small"},
-    {"basis": "bspline2", "averaged": True, "scheme": "musl", "law": HENCKY, "domains": "fixed"},
-    {"basis": "bspline3", "averaged": False, "scheme": "usf", "law": HENCKY, "strain": "jaumann",
-     "mapping": "apic"},
-    {"basis": "bspline3", "averaged": True, "scheme": "usl", "law": HENCKY, "power": 1.3},
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "scene",
-    [pytest.param(s, marks=[] if k < 1 else [pytest.mark.long]) for k, s in enumerate(SHARED)],
-    ids=lambda s: "-".join(str(x) for x in s.values())[:40],
-)
-def test_shared_changes_of_volume(scene):
-    one = compare(fbar=True, body=CORNER, **scene)
-    if scene.get("strain", "large") == "large":
-        J = np.linalg.det(one.points["F"])
-        assert np.abs(one.points["J_bar"] / J - 1.0).max() > 1e-6
-
-
-SOLID = mpm.Box((-1, -1, -1), (0.6, 0.43, 0.4))
-SHARED_IN_SPACE = [
-    {"basis": "linear", "scheme": "usl", "law": HENCKY},
-    {"basis": "gimp", "scheme": "musl", "law": LOOSE, "power": 1.3},
-    {"basis": "bspline2", "averaged": False, "scheme": "usl", "law": HENCKY, "strain": "small"},
-    {"basis": "bspline2", "averaged": True, "scheme": "usf", "law": HENCKY, "strain": "jaumann"},
-    {"basis": "bspline3", "averaged": False, "scheme": "musl", "law": HENCKY, "mapping": "apic"},
-    {"basis": "gimp", "scheme": "usl", "law": HENCKY, "by": "centres"},
-]
-
-
-@pytest.mark.parametrize(
-    "scene",
-    [pytest.param(s, marks=[LONG] * (k > 0)) for k, s in enumerate(SHARED_IN_SPACE)],
-    ids=lambda s: "-".join(str(x) for x in s.values())[:40],
-)
-def test_shared_changes_of_volume_in_three_dimensions(scene):
-    scene = dict(scene)
-    by = scene.pop("by", True)
-    one = compare(fbar=by, body=SOLID, d=3, courant=0.1, **scene)
-    if scene.get("strain", "large") == "large":
-        J = np.linalg.det(one.points["F"])
-        assert np.abs(one.points["J_bar"] / J - 1.0).max() > 1e-6
-
-
-BY_CENTRES = [
-    {"basis": "gimp", "scheme": "usl", "law": STEEL, "power": 1.3},
-    {"basis": "gimp", "scheme": "usf", "law": STEEL, "strain": "small"},
-    {"basis": "linear", "scheme": "musl", "law": LOOSE, "strain": "jaumann", "mapping": "apic"},
-]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "scene", BY_CENTRES, ids=lambda s: "-".join(str(x) for x in s.values())[:40]
-)
-def test_changes_of_volume_shared_by_centres(scene):
-    one = compare(fbar="centres", body=CORNER, **scene)
-    if scene["basis"] == "gimp":
-        # domains reach into the next cells, with shares that means by domains count
-        other = problem(fbar=True, body=CORNER, **scene)
-        for record in one.history:
-            other.step(record.time)
-        a, b = (p.points["stress"][np.argsort(p.points["id"])] for p in (one, other))
-        assert np.abs(a - b).max() > 1e-6 * np.abs(a).max()
 
 
 @pytest.mark.parametrize(
@@ -427,37 +356,6 @@ def test_the_bare_number_of_a_chosen_time_is_enough():
             p.step(float(t))
         assert p.time == 0.05
         assert len(p.history) > 1
-
-
-@pytest.mark.parametrize(
-    ("why", "scene"),
-    [
-        ("it was not to be", {"fused": False}),
-        ("consistent", {"mass": "consistent", "basis": "linear"}),
-        ("filters", {"mapping": "xpic"}),
-        ("varies", {"law": NeoHookean(E=lambda x: 1e5 + x[0], nu=0.3)}),
-        ("what moves", {"load": lambda points, g: g * points.V}),
-    ],
-    ids=lambda x: x if isinstance(x, str) else "",
-)
-def test_what_is_not_fused_says_why(why, scene):
-    assert why in problem(**scene).unfused
-
-
-def test_one_dimension_is_not_fused():
-    grid = mesh.create_interval(COMM, 4, [0, 4])
-    points = mpm.fill(grid, mpm.Box((1,), (2,)), 2, 1.0)
-    V = mpm.Space(grid, "gimp")
-    F = mpm.momentum(HENCKY, points, V.increment, V.test)
-    assert "two and three dimensions" in mpm.Explicit(F, V.increment, points).unfused
-
-
-def test_functions_at_first_positions_are_not_fused():
-    grid = lattice()
-    points = mpm.fill(grid, mpm.Disc((0, 0), 0.5), 2, 1.0)
-    V = mpm.Space(grid, "gimp", configuration="total")
-    F = mpm.momentum(HENCKY, points, V.increment, V.test)
-    assert "first positions" in mpm.Explicit(F, V.increment, points).unfused
 
 
 def test_a_point_that_leaves_the_grid_is_an_error():

@@ -42,8 +42,8 @@ def alike(scene, end, calls=2, steps=50, touches=True, **options):
         assert getattr(mine, name) == pytest.approx(getattr(theirs, name), abs=1e-10 * size), name
     if touches:
         first = one.bodies.contacts[0]
-        assert (one.points[first.names[1]] > 0).any()
-        assert first.friction == 0.0 or first.dissipated > 0
+        assert (one.points[first.names.normal_force] > 0).any()
+        assert first.law.friction == 0.0 or first.dissipated > 0
     return one
 
 
@@ -78,7 +78,7 @@ def test_a_wedge_is_dragged_through_clay():
     problem = alike(is_ploughed, 0.08)
     assert (problem.points["plastic_strain"] > 0).any()
     (contact,) = problem.bodies.contacts
-    assert np.abs(problem.points[contact.names[0]]).max() > 0
+    assert np.abs(problem.points[contact.names.tangential_force]).max() > 0
 
 
 @pytest.mark.parametrize("free", [False, pytest.param(True, marks=LONG)])
@@ -110,7 +110,7 @@ def test_a_run_that_goes_back_takes_its_bodies_along(fused):
     assert first.dissipated == kept[1]
     assert problem.energies() == kept[2]
     order = np.argsort(fields["id"])
-    for name in ("x", "velocity", first.names[0]):
+    for name in ("x", "velocity", first.names.tangential_force):
         now = points[name][np.argsort(points["id"])]
         np.testing.assert_array_equal(now, fields[name][order], err_msg=name)
     # and goes on as one that has not tried
@@ -187,7 +187,7 @@ class TestWhatCannotBe:
         problem.step(0.05)
         np.testing.assert_array_equal(tool.force, 0.0)
         assert tool.position[0] == pytest.approx(9.05)
-        assert problem.unfused == ("" if fused else "it was not to be")
+        assert problem.unfused == ("" if fused else "fused=False")
 
     def test_points_within_the_body(self, fused):
         problem, tool = self.block(fused, mpm.Disc((0.5, 1.0), 0.3))

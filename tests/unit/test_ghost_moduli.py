@@ -11,7 +11,7 @@ from scenes import vibrating_bar
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, ParameterError
-from dolfinmpm.assembly.facetpairs import (
+from dolfinmpm.assembly.facetpenalties import (
     INTERVALS,
     MeshPairs,
     by_ratio,
@@ -21,8 +21,8 @@ from dolfinmpm.assembly.facetpairs import (
     local_constant,
     smooth_constant,
 )
-from dolfinmpm.assembly.facetplaces import FacetPlace
 from dolfinmpm.assembly.facettensors import FacetTensors
+from dolfinmpm.assembly.latticefacets import LatticeFacet
 from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.facetmoduli import FIELD, LEAST, bounded, isotropic_moduli
@@ -48,7 +48,7 @@ def inner_pair(gdim, basis="linear"):
     V = mpm.Space(grid, basis)
     form = mpm.ghost(points, V.increment, V.test, gamma=1.0)
     bilinear = ufl.derivative(form, V.increment, ufl.TrialFunction(V.function_space))
-    place = FacetPlace([np.arange(8.0)] * gdim, (3,) * gdim, 0, False)
+    place = LatticeFacet([np.arange(8.0)] * gdim, (3,) * gdim, 0, False)
     tensor = FacetTensors(ufl.algorithms.expand_derivatives(bilinear), BASES[basis], gdim)(place)
     return lattice_pair(place, BASES[basis], tensor)
 

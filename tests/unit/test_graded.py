@@ -10,7 +10,7 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError, PointsOutsideGridError, UnsupportedGridError
-from dolfinmpm.grid.graded import lay_lines
+from dolfinmpm.grid.graded import set_lines
 
 
 def lines(middle, top=3.0):
@@ -61,7 +61,7 @@ def test_a_grid_of_lines():
     assert COMM.allreduce(volume) == pytest.approx(12.0)
     h = mpm.cell_size(grid)
     before = h.x.array.copy()
-    lay_lines(grid, lines(2.0))
+    set_lines(grid, lines(2.0))
     assert mpm.cell_size(grid) is h
     assert np.abs(h.x.array - before).max() > 0.1
     np.testing.assert_allclose(np.unique(np.round(grid.geometry.x[:, 0], 12)), lines(2.0)[0])
@@ -117,7 +117,7 @@ def test_a_step_is_that_on_a_grid_made_so(basis, stabilisation, fbar, kind):
     if kind is mpm.Newmark:
         other.scheme.set_state(problem.scheme.state())
         other.loads.change = problem.loads.change
-    other.loads.release()
+    other.loads.accept()
     time = (0.02,) if time else ()
     for load, one in ((g, problem), (f, other)):
         load.value[:] = 1.0, -4.0
@@ -192,7 +192,7 @@ def test_what_cannot_be_laid_anew():
     points = mpm.fill(uniform, mpm.Box((0, 0), (1, 0.6)), 2, 1.0)
     still, _ = problem_on(uniform, points, "gimp", "ghost")
     with pytest.raises(UnsupportedGridError, match="have one size"):
-        lay_lines(mpm.create_lattice(COMM, [np.linspace(0, 1, 4)] * 2), [np.linspace(0, 1, 4)] * 2)
+        set_lines(mpm.create_lattice(COMM, [np.linspace(0, 1, 4)] * 2), [np.linspace(0, 1, 4)] * 2)
     with pytest.raises((UnsupportedGridError, ParameterError)):
         mpm.regrid(still, [np.linspace(0, 1, 5), np.linspace(0, 1, 6)])
     with pytest.raises(ParameterError, match="QuasiStatic"):

@@ -8,7 +8,7 @@ from conftest import COMM
 from dolfinx import mesh
 
 import dolfinmpm as mpm
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 
 SHIFTS = [sign * size for size in (5e-11, 1e-12, 1e-14, 1e-16) for sign in (1, -1)]
 BASES = [

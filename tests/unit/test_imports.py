@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from dolfinmpm._platform.collector import idle_collector
+from dolfinmpm._platform.garbagecollector import idle_collector
 
 
 def test_libraries_that_few_scenes_use_are_loaded_by_these():

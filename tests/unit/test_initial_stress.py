@@ -7,12 +7,12 @@ import pytest
 import ufl
 from conftest import COMM, unit_grid
 from dolfinx import fem, mesh
-from test_frameworks import KINDS, LAWS, MEASURES, each_dimension, each_law, each_measure
+from test_strain_formulations import KINDS, LAWS, MEASURES, each_dimension, each_law, each_measure
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError, StateError
-from dolfinmpm.kinematics import framework
-from dolfinmpm.materials.inverse import elastic_strain
+from dolfinmpm.kinematics import strain_formulation
+from dolfinmpm.materials.elasticinverse import elastic_strain
 
 
 def some_points(d, n=2):
@@ -34,7 +34,7 @@ def stresses(d, n, seed=0, pressure=8e3, shear=1e3):
 def returned(points, law, strain):
     """Cauchy stress for no increment, and the internal variables after it."""
     d = points.gdim
-    operator = framework(law, points, strain)
+    operator = strain_formulation(law, points, strain)
     operator.bind()
     new = operator.commit(np.zeros((len(points), d * d)), operator.rows)
     return new["stress"], {name: new[name] for name in law.internal}
@@ -73,7 +73,7 @@ def test_before_or_after_momentum_and_for_every_way_to_give_it(strain):
         mpm.momentum(law, points, V.increment, V.test, strain=strain)
         if when == "after":
             mpm.set_stress(law, points, given, strain=strain)
-        states.append(points[framework(law, points, strain).state].copy())
+        states.append(points[strain_formulation(law, points, strain).state].copy())
     np.testing.assert_array_equal(*states)
     assert np.ptp(states[0], axis=0).max() == 0.0
 

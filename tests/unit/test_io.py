@@ -25,7 +25,7 @@ from vtkmodules.vtkIOXML import (
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io import ParaView, figure, plot
-from dolfinmpm.io.plots import _grid_lines, _label, _scalar
+from dolfinmpm.io.plots import grid_lines, label_of, scalar_of
 from dolfinmpm.io.scene import _stretched
 
 COMM = MPI.COMM_WORLD
@@ -326,7 +326,7 @@ def test_all_grids_are_drawn(folder, name):
         plot(points, folder / f"{k}.png", "displacement", dpi=40, **options)
         assert pixels(folder / f"{k}.png").std() > 0.05
     if name == "triangle":
-        lines = _grid_lines(grid, None)
+        lines = grid_lines(grid, None)
         grid.topology.create_entities(1)
         edges = grid.topology.index_map(1).size_global
         assert lines is None if COMM.rank else len(lines) == edges
@@ -335,16 +335,16 @@ def test_all_grids_are_drawn(folder, name):
 def test_components():
     stress = np.zeros((2, 3, 3))
     stress[:, 1, 1] = [-4e3, 2e3]
-    assert _scalar(stress, "mises", 2)[0] == pytest.approx([4e3, 2e3])
-    assert _scalar(stress, "mean", 2)[0] == pytest.approx([-4e3 / 3, 2e3 / 3])
-    assert _scalar(stress, None, 2) == (pytest.approx([-4e3, 2e3]), "yy")
-    assert _scalar(stress, (0, 2), 3)[1] == "xz"
+    assert scalar_of(stress, "mises", 2)[0] == pytest.approx([4e3, 2e3])
+    assert scalar_of(stress, "mean", 2)[0] == pytest.approx([-4e3 / 3, 2e3 / 3])
+    assert scalar_of(stress, None, 2) == (pytest.approx([-4e3, 2e3]), "yy")
+    assert scalar_of(stress, (0, 2), 3)[1] == "xz"
     vector = np.array([[3.0, 4.0]])
-    assert _scalar(vector, None, 2)[0] == pytest.approx([5.0])
-    assert _scalar(vector, 0, 2) == (pytest.approx([3.0]), "x")
-    assert _label("stress", "yy", "kPa") == r"stress $\sigma_{yy}$ (kPa)"
-    assert _label("plastic_strain", "", "") == r"$\mathrm{plastic\ strain}$"
-    assert _label("density", "", "kg/m^2") == r"$\mathrm{density}$ (kg/m$^{2}$)"
+    assert scalar_of(vector, None, 2)[0] == pytest.approx([5.0])
+    assert scalar_of(vector, 0, 2) == (pytest.approx([3.0]), "x")
+    assert label_of("stress", "yy", "kPa") == r"stress $\sigma_{yy}$ (kPa)"
+    assert label_of("plastic_strain", "", "") == r"$\mathrm{plastic\ strain}$"
+    assert label_of("density", "", "kg/m^2") == r"$\mathrm{density}$ (kg/m$^{2}$)"
 
 
 @pytest.mark.parametrize(

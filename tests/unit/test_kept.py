@@ -10,7 +10,7 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.kinematics import Framework, framework
+from dolfinmpm.kinematics import StrainFormulation, strain_formulation
 
 LAWS = {
     "Hencky": mpm.materials.Hencky(1e6, 0.3),
@@ -57,7 +57,7 @@ class Asked:
 
     def __init__(self, monkeypatch):
         self.anew = self.read = 0
-        run = Framework._run
+        run = StrainFormulation._run
 
         def counted(law, operand, rows, kept, *written):
             if kept is not None and kept.known:
@@ -66,7 +66,7 @@ class Asked:
                 self.anew += len(rows)
             return run(law, operand, rows, kept, *written)
 
-        monkeypatch.setattr(Framework, "_run", counted)
+        monkeypatch.setattr(StrainFormulation, "_run", counted)
 
 
 def increments(operator, seed=1):
@@ -172,10 +172,10 @@ def test_what_is_not_of_these_increments_is_not_read(monkeypatch):
     assert anew(lambda: operator.move(x)) == 0
     assert anew(lambda: tangent(operator)) == 1
     operator.residual(y)
-    operator.rest()
+    operator.move_to_zero()
     assert anew(lambda: tangent(operator)) == 1
     # constants of the form may stand in what laws are a function of
-    operator.renew_external()
+    operator.update_external()
     assert anew(lambda: tangent(operator)) == 1
     # the state may be another after the end of a step
     assert anew(operator.points.commit) == 0
@@ -213,4 +213,4 @@ def test_explicit_steps_keep_nothing(monkeypatch):
 def test_a_few_numbers_a_point(law):
     grid = unit_grid("hexahedron", 2)
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), 1, 1.0)
-    assert 8 * framework(law, points, "large").keeps <= 300
+    assert 8 * strain_formulation(law, points, "large").keeps <= 300

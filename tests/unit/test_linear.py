@@ -15,13 +15,12 @@ from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm.solve import krylov, linearsolver, method
-from dolfinmpm.solve import reuse as reuse_module
-from dolfinmpm.solve.costs import _OTHERWISE as OTHERWISE
-from dolfinmpm.solve.costs import of_setup, of_solution
+from dolfinmpm.solve import preconditionerreuse as reuse_module
 from dolfinmpm.solve.method import SUBSTRUCTURES, Tangent, choose
-from dolfinmpm.solve.reuse import Reuse
+from dolfinmpm.solve.preconditionerreuse import _OTHERWISE as OTHERWISE
+from dolfinmpm.solve.preconditionerreuse import PreconditionerReuse, setup_cost, solution_cost
 from dolfinmpm.solve.schur import schur_matrix
-from dolfinmpm.solve.solverchoice import SolverChoice
+from dolfinmpm.solve.solverchoice import IncompleteFactorsChoice
 
 ELASTIC = {"E": 1e3, "nu": 0.3}
 
@@ -201,7 +200,7 @@ def test_what_a_user_chooses_has_no_rival(monkeypatch, options):
 
 
 def test_incomplete_factors_are_left_for_what_costs_less():
-    choice = SolverChoice()
+    choice = IncompleteFactorsChoice()
     # few iterations: nothing else is tried, whatever they cost
     choice.weigh(1.0, 12.0)
     assert choice.incomplete
@@ -218,7 +217,7 @@ def test_incomplete_factors_are_left_for_what_costs_less():
 
 
 def test_incomplete_factors_that_failed_wait_for_longer_each_time():
-    choice, waits = SolverChoice(), []
+    choice, waits = IncompleteFactorsChoice(), []
     for _ in range(6):
         choice.failed()
         waits.append(0)
@@ -278,8 +277,8 @@ class Counted:
 
 def keeps(costs, setup, monkeypatch):
     """Whether each of several solutions is with a preconditioner that was kept."""
-    monkeypatch.setattr(reuse_module, "of_setup", lambda pc, flops: setup)
-    reuse, ksp = Reuse(MPI.COMM_SELF), Counted()
+    monkeypatch.setattr(reuse_module, "setup_cost", lambda pc, flops: setup)
+    reuse, ksp = PreconditionerReuse(MPI.COMM_SELF), Counted()
     kept = []
     for each in costs:
         reuse.prepare(ksp)
@@ -307,8 +306,8 @@ def test_what_did_not_pay_is_tried_more_rarely(monkeypatch):
 
 def test_what_a_new_matrix_ends_is_tried_again(monkeypatch):
     """A preconditioner that another pattern of the matrix makes useless has not failed."""
-    monkeypatch.setattr(reuse_module, "of_setup", lambda pc, flops: 8e3)
-    reuse, ksp = Reuse(MPI.COMM_SELF), Counted()
+    monkeypatch.setattr(reuse_module, "setup_cost", lambda pc, flops: 8e3)
+    reuse, ksp = PreconditionerReuse(MPI.COMM_SELF), Counted()
     for _ in range(4):
         for old in (False, True):
             reuse.prepare(ksp)
@@ -319,8 +318,8 @@ def test_what_a_new_matrix_ends_is_tried_again(monkeypatch):
 
 @pytest.mark.parametrize("after", [0.0, math.inf, math.nan])
 def test_residuals_that_are_no_numbers_count_no_digits(monkeypatch, after):
-    monkeypatch.setattr(reuse_module, "of_setup", lambda pc, flops: 0.0)
-    reuse, ksp = Reuse(MPI.COMM_SELF), Counted()
+    monkeypatch.setattr(reuse_module, "setup_cost", lambda pc, flops: 0.0)
+    reuse, ksp = PreconditionerReuse(MPI.COMM_SELF), Counted()
     reuse.prepare(ksp)
     ksp.after = after
     ksp.solve(reuse, 1e3)
@@ -361,7 +360,7 @@ def test_what_a_set_up_and_a_solution_cost_is_counted(kind, package):
         b.set(1.0)
         pc.apply(b, x)
         after = PETSc.Log.getFlops()
-        found.append((of_setup(pc, between - before), of_solution(pc, after - between)))
+        found.append((setup_cost(pc, between - before), solution_cost(pc, after - between)))
     assert found[0] == found[1]
     assert found[2][0] > 2 * found[0][0] > 2 * found[0][1] > 0
     assert found[2][1] > 2 * found[0][1]

@@ -81,12 +81,12 @@ def test_without_a_stabilisation_nothing_of_it_is_needed(basis, monkeypatch):
         raise AssertionError("a stabilisation that is not used was run")
 
     for name in (
-        "cut.stabilisations.ties", "cut.stabilisations.fill_fractions",
+        "cut.stabilisations.constraint_matrix", "cut.stabilisations.fill_fractions",
         "cut.stabilisations.support_shares",
         "cut.penalties.ghost", "cut.penalties.soft", "cut.stabilisations.Stabilisation.penalty",
-        "cut.fractions.domain_shares", "cut.active.GhostFacets.__init__",
-        "cut.active.GhostFacets.select", "cut.active.ghost_facets",
-        "cut.activation.Prolongation", "cut.activation.mesh_roots",
+        "cut.fractions.domain_shares", "cut.activecells.GhostFacets.__init__",
+        "cut.activecells.GhostFacets.select", "cut.activecells.ghost_facets",
+        "cut.activate.Prolongation", "cut.activate.mesh_roots",
         "assembly.gridassembler.reduce_blocks", "assembly.gridassembler.compile_form",
         "solve.operator.add_product", "solve.operator.add_blocks",
     ):  # fmt: skip
@@ -101,7 +101,7 @@ def test_without_a_stabilisation_nothing_of_it_is_needed(basis, monkeypatch):
     assert field.C is None
     assert not problem.here.blocks_of("penalty")
     assert field.entities == {}
-    assert field.stencils is field.seen
+    assert field.stencils is field.full_stencils
 
 
 @pytest.mark.parametrize("basis", BASES)
@@ -109,7 +109,7 @@ def test_without_a_stabilisation_the_pattern_is_that_of_the_points(basis):
     """Entries for nodes that a point sees together, and no more; a ghost penalty adds some."""
     problem = column(basis)
     entries = problem.stiffness().getInfo()["nz_used"]
-    unknowns, stencils = problem.here.unknowns.fields[0], problem.here.fields[0].seen
+    unknowns, stencils = problem.here.unknowns.fields[0], problem.here.fields[0].full_stencils
     seen = [stencils.nodes[a:b] for a, b in zip(stencils.node_start[:-1], stencils.node_start[1:])]
     pairs = {(int(a), int(b)) for nodes in seen for a in nodes for b in nodes}
     free = (~unknowns.fixed).sum(axis=1)

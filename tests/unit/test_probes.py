@@ -143,7 +143,7 @@ def test_points_that_come_and_go():
     points["x"] -= 0.01
     points.add(mpm.fill(points.grid, mpm.Where(lambda x: (x < 0.75).all(0) & (x.sum(0) > 1.28)), 2,
                         1.0))  # fmt: skip
-    with pytest.raises(ParameterError, match="have been removed; make a new probe"):
+    with pytest.raises(ParameterError, match="have been removed: make a new probe"):
         corner.displacement  # noqa: B018
     assert mpm.probe(points, (0.75, 0.75)).displacement == pytest.approx([0.0, 0.0])
 

@@ -16,7 +16,7 @@ from mpi4py import MPI
 import dolfinmpm
 from dolfinmpm._platform.compat import library_of
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.report import _blas, _threads, info
+from dolfinmpm._platform.installation import _blas, _threads, info
 from dolfinmpm.dynamics import times
 from dolfinmpm.io.progress import steps
 

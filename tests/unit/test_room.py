@@ -133,11 +133,11 @@ def test_what_has_moved_may_be_dense():
 
 
 def test_each_set_of_points_is_looked_at_once(monkeypatch):
-    from dolfinmpm.body import room
+    from dolfinmpm.body import overlapchecks
 
     looked = []
-    filled = room._Filled
-    monkeypatch.setattr(room, "_Filled", lambda bodies: looked.append(1) or filled(bodies))
+    filled = overlapchecks._Filled
+    monkeypatch.setattr(overlapchecks, "_Filled", lambda bodies: looked.append(1) or filled(bodies))
     points = mpm.fill(grid_of(), mpm.Box((0, 0), (2, 1)), 2, 1.0)
     for _ in range(3):
         problem_of(points)

@@ -13,7 +13,7 @@ import dolfinmpm as mpm
 from dolfinmpm import study
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.strength import weakened
-from dolfinmpm.solve.keptstate import KeptState
+from dolfinmpm.solve.restart import SavedState
 from dolfinmpm.study import reduced_strength
 
 MAKE = mpm.materials
@@ -122,12 +122,12 @@ def test_what_was_tried_leaves_no_trace(name):
     for _ in range(2):
         step(), step_of_other()
     state = bits(problem)
-    kept = KeptState(problem)
+    kept = SavedState(problem)
     for _ in range(2):
         step()
         problem.points.fields["more"] = np.zeros(len(problem.points))
     assert bits(problem) != state
-    kept.put()
+    kept.restore()
     assert bits(problem) == state
     for _ in range(2):
         step(), step_of_other()

@@ -12,7 +12,7 @@ from conftest import unit_grid
 from dolfinx import fem
 
 import dolfinmpm as mpm
-from dolfinmpm.cut.participants import Activation, ActiveField
+from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.solve.newton import Outcome
 

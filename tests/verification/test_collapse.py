@@ -58,9 +58,9 @@ def test_a_second_line_search_is_tried_and_kept(monkeypatch):
     attempt = Newton._attempt
     tried = []
 
-    def cycles_with_full_steps(self, operator, outcome):
+    def cycles_with_full_steps(self, operator, outcome, guess=None):
         tried.append(self.search)
-        attempt(self, operator, outcome)
+        attempt(self, operator, outcome, guess)
         if self.search == "basic":
             outcome.reason = "cycles"
 

@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from reference.conforming import Body, Mesh
+from reference.conforming import Body
+from reference.conforming_mesh import Mesh
 from reference.footings import cam_clay, rigid_tresca, stored, tresca
 from scipy.special import lambertw
 

@@ -68,7 +68,7 @@ def test_multipliers_bound_the_penetration():
     assert found == pytest.approx(0.6, abs=1.1e-7)
     assert -body.force[1] / 0.8 == pytest.approx(math.log(0.75) / 0.75 * 1e6, rel=1e-6)
     # the pressure that the points carry is the multiplier of the next step
-    pressure = problem.points["contact1_pressure"]
+    pressure = problem.points["contact1_normal_force"]
     assert pressure.sum() == pytest.approx(body.force[1], rel=1e-12)
 
 

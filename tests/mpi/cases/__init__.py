@@ -77,6 +77,7 @@ CASES = {
         arguments.steps_of_different_ranks,
         differences.more_of_different_ranks,
         tables.tables,
+        tables.films,
         restart.restart_ghost,
         restart.restart_aggregation,
         restart.restart_triangles,

@@ -293,6 +293,6 @@ def probes():
         assert "differs between ranks" in message
     points.remove(lambda x: x[0] + x[1] > 5.7)
     message = expect(errors.ParameterError, lambda: every["crest"].settlement)
-    assert "have been removed; make a new probe" in message
+    assert "have been removed: make a new probe" in message
     figures["left"] = list(every["inside"].displacement)
     return figures | {"moved": sum(record.migrated for record in problem.history)}

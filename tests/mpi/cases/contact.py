@@ -34,7 +34,7 @@ def ploughed(**options):
 
 def figures(problem):
     body = problem.bodies.all[0]
-    names = "x", "F", "stress", "contact1_traction", "contact1_pressure"
+    names = "x", "F", "stress", "contact1_tangential_force", "contact1_normal_force"
     return {
         "force": body.force.tolist(), "moment": body.moment.tolist(),
         "position": body.position.tolist(), "angle": body.angle.tolist(),

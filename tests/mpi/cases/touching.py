@@ -38,7 +38,7 @@ def figures(problem):
         "force": problem.history[-1].bodies[contact.name]["force"],
         "dissipated": contact.dissipated,
         "iterations": [record.iterations for record in problem.history],
-        "forces": list(COMM.allreduce(markers[contact.names[0]].sum(axis=0))),
+        "forces": list(COMM.allreduce(markers[contact.names.tangential_force].sum(axis=0))),
         "unknowns": [record.unknowns for record in problem.history],
         **sums(problem.points, "x", "F", "stress"),
     }

@@ -1,0 +1,242 @@
+"""Checks of single arguments; their errors name the value, the limit and a way out."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+import numbers
+import operator
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = [
+    "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates",
+    "file_path", "number", "shown", "truth", "whole",
+]  # fmt: skip
+
+Tags = tuple[int, ...] | None
+
+
+# Number of words that a message lists at most
+_MOST = 12
+
+
+def shown(value: Any) -> str:
+    """Short text for a value in a message."""
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        value = value.item()
+    if isinstance(value, (list, tuple)):
+        parts = [shown(part) for part in value[:4]] + ["..."] * (len(value) > 4)
+        brackets = "[]" if isinstance(value, list) else "()"
+        comma = "," * (isinstance(value, tuple) and len(value) == 1)
+        return f"{brackets[0]}{', '.join(parts)}{comma}{brackets[1]}"
+    # the default text of an object is an address; the text of a UFL expression can fill a page
+    plain = isinstance(value, (str, bool, int, float, complex, type(None)))
+    if not plain and not (isinstance(value, np.ndarray) and value.size <= 9):
+        return f"a {type(value).__name__}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
+    """Raise ParameterError unless a value is an instance of a class.
+
+    Args:
+        what: Name of the argument.
+        value: The argument.
+        kind: The class.
+        advice: Advice for the message.
+    """
+    if not isinstance(value, kind):
+        raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")
+
+
+def check_function(what: str, value: Any, kind: str = "") -> None:
+    """Raise ParameterError unless a value is a function.
+
+    Args:
+        what: Name of the argument.
+        value: The argument.
+        kind: Arguments and result of the function, as text for the message.
+    """
+    if not callable(value):
+        raise ParameterError(f"{what} = {shown(value)} must be a function{kind and f' {kind}'}")
+
+
+def at_time(what: str, given: Any, t: float) -> Any:
+    """Value at a time t (s) of an argument that may be a function of time.
+
+    Raises:
+        ParameterError: The argument is a function, and does not take a time.
+    """
+    if not callable(given):
+        return given
+    try:
+        return given(t)
+    except TypeError:
+        # the error may come from inside the function, or from its arguments
+        try:
+            inspect.signature(given).bind(t)
+        except TypeError as error:
+            raise ParameterError(
+                f"{what} = {shown(given)} must be a function of the time (s) alone, such as "
+                f"lambda t: 0.1 * t; {error}"
+            ) from None
+        except ValueError:
+            # a function of another language has no signature
+            pass
+        raise
+
+
+def number(
+    what: str,
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    unit: str = "",
+    closed: bool = False,
+) -> float:
+    """A real number between two limits.
+
+    Args:
+        what: Name of the argument.
+        value: The argument; words and truth values are no numbers.
+        low: Lower limit.
+        high: Upper limit.
+        unit: Unit of the value and the limits.
+        closed: Whether the limits themselves are allowed. Infinity is allowed only as an upper
+            limit.
+
+    Raises:
+        ParameterError: The value is no number, or not between the limits.
+    """
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise ParameterError(f"{what} = {shown(value)} must be a number{unit and f' ({unit})'}")
+    given = float(value)
+    inside = low <= given <= high if closed else low < given < high
+    if not inside or (math.isinf(given) and not (closed and given == high)):
+        left = f"{'at least' if closed else 'above'} {low:g}" if low > -math.inf else ""
+        right = f"{'at most' if closed else 'below'} {high:g}" if high < math.inf else ""
+        limits = " and ".join(limit for limit in (left, right) if limit) or "finite"
+        undefined = "; nan is the result of a failed computation" * math.isnan(given)
+        raise ParameterError(f"{what} = {given:g}{unit and f' {unit}'} must be {limits}{undefined}")
+    return given
+
+
+def whole(what: str, value: Any, least: int) -> int:
+    """A whole number of at least `least`.
+
+    Raises:
+        ParameterError: The value is no whole number, or is less.
+    """
+    try:
+        given = None if isinstance(value, (bool, np.bool_)) else operator.index(value)
+    except TypeError:
+        given = None
+    if given is None or given < least:
+        raise ParameterError(f"{what} = {shown(value)} must be a whole number of at least {least}")
+    return given
+
+
+def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
+    """Numbers as an array of any shape; the caller checks the shape.
+
+    Raises:
+        ParameterError: The argument has something else than numbers.
+    """
+    try:
+        return np.array(given, np.float64)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"{what} = {shown(given)} must be numbers, such as (0.0, 1.0)"
+        ) from None
+
+
+def truth(what: str, value: Any, *words: str) -> bool:
+    """True or False; other values are refused, such as 1 or "no".
+
+    Args:
+        what: Name of the argument.
+        value: The argument.
+        words: Other allowed values, for the message.
+
+    Raises:
+        ParameterError: The value is neither True nor False.
+    """
+    if not isinstance(value, (bool, np.bool_)):
+        others = "".join(f" or {word!r}" for word in words)
+        raise ParameterError(f"{what} = {shown(value)} must be True or False{others}")
+    return bool(value)
+
+
+def _plain(word: str) -> str:
+    """A word without differences of spelling."""
+    plain = word.lower().replace("_", "-").replace(" ", "-")
+    for british, american in (("centre", "center"), ("isation", "ization"), ("ised", "ized")):
+        plain = plain.replace(british, american)
+    return plain.replace("our", "or").replace("-", "")
+
+
+def choice(what: str, value: Any, known: Iterable[str]) -> str:
+    """One of some words, in the spelling of `known`.
+
+    Capitals, hyphens, and British or American spelling make no difference.
+
+    Args:
+        what: Name of the argument.
+        value: The argument.
+        known: The words.
+
+    Raises:
+        ParameterError: The value is another word; the message lists the first dozen words, and
+            the nearest word.
+    """
+    words = list(known)
+    if isinstance(value, str):
+        for word in words:
+            if _plain(word) == _plain(value):
+                return word
+    near = difflib.get_close_matches(value, words, 1) if isinstance(value, str) else []
+    hint = f'; did you mean "{near[0]}"?' if near else ""
+    listed = ", ".join(f'"{word}"' for word in words[:_MOST])
+    listed += ", ..." if len(words) > _MOST else ""
+    raise ParameterError(f"{what} = {shown(value)} must be one of {listed}{hint}")
+
+
+def file_path(what: str, value: Any) -> Path:
+    """An argument as a path.
+
+    Raises:
+        ParameterError: The argument is neither text nor a path.
+    """
+    if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
+        raise ParameterError(f"{what} = {shown(value)} must be a path, such as 'output/name'")
+    return Path(value)
+
+
+def as_tags(tag: Any) -> Tags:
+    """Tags of points in increasing order, from one tag or several; None for all points.
+
+    Raises:
+        ParameterError: A tag is no whole number from 0, or there is no tag.
+    """
+    if tag is None:
+        return None
+    several = tag if isinstance(tag, (tuple, list)) else (tag,)
+    whole = all(isinstance(t, (int, np.integer)) and not isinstance(t, bool) for t in several)
+    if not (several and whole and min(several) >= 0):
+        raise ParameterError(
+            f"tag = {shown(tag)} must be a whole number from 0, a tuple of such, or None for all "
+            "points"
+        )
+    return tuple(sorted({int(t) for t in several}))

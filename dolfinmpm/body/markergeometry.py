@@ -1,0 +1,254 @@
+"""Geometry of the markers of a boundary: checks of arguments, and pieces of lines and surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.compat import geometry_dofmap
+from dolfinmpm._platform.errors import (
+    FieldShapeError,
+    ParameterError,
+    UnsupportedGridError,
+    call_together,
+    raise_together,
+)
+from dolfinmpm.body.axisymmetry import ring
+from dolfinmpm.body.contours import contour, kuhn
+from dolfinmpm.body.location import bounds
+from dolfinmpm.grid.lattice import Lattice, largest_cell, lattice_of, smallest_height
+from dolfinmpm.grid.userfunctions import call_function
+
+__all__ = [
+    "level_set_pieces", "put_inside", "revolved", "rows_of", "segments_of", "side_markers",
+    "triangles_of",
+]  # fmt: skip
+
+Array = npt.NDArray[np.float64]
+
+# Markers on a grid line belong to the cell on the body's side: they move by this share of a cell
+_INWARD = 1e-9
+# Markers nearer to the axis than this share of a cell are on the axis
+_AXIS = 1e-6
+
+
+def revolved(points: Any, x: Array, area: Array) -> tuple[Array, Array]:
+    """Markers of an axisymmetric body from markers of its section: areas times 2π r.
+
+    Markers on the axis have no area and are left out. Other bodies keep their markers.
+
+    Args:
+        points: Material points of the body.
+        x: Positions (m), shape (n, gdim).
+        area: Area vectors in the section (m^(gdim-1)), shape (n, gdim).
+    """
+    if not points.axisymmetric:
+        return x, area
+    off = x[:, 0] > _AXIS * largest_cell(points.grid)
+    return x[off], ring(x[off, :1], area[off])
+
+
+def rows_of(d: int, x: Any, area: Any) -> tuple[Array, Array]:
+    """Positions and area vectors as arrays, checked."""
+    made = []
+    for what, values in (("x", x), ("area", area)):
+        made.append(corners_of(what, values, d))
+    if len(made[0]) != len(made[1]):
+        raise FieldShapeError(
+            f"x has {len(made[0])} rows and area {len(made[1])}; give one row per marker"
+        )
+    none = np.flatnonzero(~(np.linalg.norm(made[1], axis=1) > 0))
+    if none.size:
+        raise ParameterError(
+            f"the area of the marker at {made[0][none[0]]} m is zero; leave such markers out"
+        )
+    return made[0], made[1]
+
+
+def put_inside(grid, x: Array, normal: Array) -> Array:
+    """Markers on grid lines, moved a little into the body, so that they lie in cells. Collective.
+
+    Args:
+        grid: Background grid.
+        x: Positions (m), shape (n, gdim).
+        normal: Outward unit normals, shape (n, gdim).
+
+    Raises:
+        ParameterError: A marker at the grid's edge would leave the grid, because its normal points
+            into the grid.
+    """
+    low, high = bounds(grid)
+    moved = x - _inward(grid, x) * normal
+    inside, still = (np.all((at >= low) & (at <= high), axis=1) for at in (x, moved))
+    out = np.flatnonzero(inside & ~still)
+    error = None
+    if out.size:
+        p = out[0]
+        error = ParameterError(
+            f"the boundary lies on the grid's edge at {x[p]} m, and its outward normal "
+            f"{normal[p] + 0.0} points into the grid; it must point out of the body. The body is "
+            "to the left of the corners in their order: give vertices[::-1]; for triangles and "
+            "arrays reverse the normals"
+        )
+    raise_together(grid.comm, error)
+    return moved
+
+
+def _inward(grid, x: Array) -> Array:
+    """Distance by which markers move into the body (m), shape (n, 1)."""
+    far = np.full((len(x), 1), _INWARD * smallest_height(grid))
+    lattice = lattice_of(grid)
+    if lattice is None:
+        return far
+    gap = np.full(len(x), np.inf)
+    for d, line in enumerate(lattice.lines):
+        at = np.clip(np.searchsorted(line, x[:, d]), 1, line.size - 1)
+        gap = np.minimum(
+            gap, np.minimum(np.abs(x[:, d] - line[at - 1]), np.abs(x[:, d] - line[at]))
+        )
+    return np.where(gap[:, None] < far, far, 0.0)
+
+
+def corners_of(what: str, values: Any, d: int) -> Array:
+    """Rows of numbers as an array, shape (n, d); n may be 0.
+
+    Args:
+        what: Name of the argument.
+        values: The argument.
+        d: Number of columns.
+
+    Raises:
+        FieldShapeError: The argument has another shape, or is no array of numbers.
+        ParameterError: A value is not finite.
+    """
+    try:
+        given = np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
+    if given.size == 0:
+        return np.empty((0, d))
+    if given.ndim != 2 or given.shape[1] != d:
+        raise FieldShapeError(f"{what} should have shape (n, {d}), got {given.shape}")
+    if not np.isfinite(given).all():
+        row = given[~np.isfinite(given).all(axis=1)][0]
+        raise ParameterError(f"{what} has the row {row}, which must be finite")
+    return given
+
+
+def side_markers(lattice: Lattice, axis: int, end: int, rule: int) -> tuple[Array, Array]:
+    """Positions (m) and area vectors (m^(d-1)) of Gauss points on a side of a rectangular grid.
+
+    Args:
+        lattice: Lattice of the grid.
+        axis: Direction normal to the side.
+        end: 0 for the lower end of the axis, 1 for the upper end.
+        rule: Gauss points per side of a cell and direction.
+    """
+    at, weights = np.polynomial.legendre.leggauss(rule)
+    places, lengths = [], []
+    for d, line in enumerate(lattice.lines):
+        middle, half = 0.5 * (line[1:] + line[:-1]), 0.5 * np.diff(line)
+        across = d == axis
+        places.append(line[[-end]] if across else (middle[:, None] + half[:, None] * at).ravel())
+        lengths.append(np.ones(1) if across else (half[:, None] * weights).ravel())
+    gdim = len(lattice.lines)
+    x = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1)
+    area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
+    normal = np.eye(gdim)[axis] * (1.0 if end else -1.0)
+    return x.reshape(-1, gdim), area * normal
+
+
+def level_set_pieces(grid, phi: Callable[[Array], Any], subdivisions: int) -> Array:
+    """Segments or triangles on which a function is zero (m), in this rank's cells. Collective.
+
+    Args:
+        grid: Background grid, in 2D or 3D.
+        phi: Function of positions (m), shape (gdim, n).
+        subdivisions: Parts per cell and direction, on rectangular grids.
+
+    Raises:
+        ParameterError: A value of the function is not finite.
+        UnsupportedGridError: The grid is neither rectangular nor of triangles or tetrahedra.
+    """
+    simplices = _simplices_of(grid, subdivisions)
+    x = simplices.reshape(-1, grid.geometry.dim)
+    values = call_together(grid.comm, lambda: call_function("phi", phi, x))
+    bad, error = np.flatnonzero(~np.isfinite(values)), None
+    if bad.size:
+        error = ParameterError(f"phi = {values[bad[0]]} at {x[bad[0]]} m must be finite")
+    raise_together(grid.comm, error)
+    return contour(simplices, values.reshape(simplices.shape[:2]))
+
+
+def _simplices_of(grid, subdivisions: int) -> Array:
+    """Simplices that fill this rank's own cells (m), shape (n, d + 1, d)."""
+    d, own = grid.geometry.dim, grid.topology.index_map(grid.topology.dim).size_local
+    lattice = lattice_of(grid)
+    x = np.asarray(grid.geometry.x[:, :d], float)[geometry_dofmap(grid)[:own]]
+    if x.shape[1] == d + 1:
+        return x
+    if lattice is None:
+        raise UnsupportedGridError(
+            "a level set needs a rectangular grid, or a grid of triangles or tetrahedra"
+        )
+    parts = np.array(list(np.ndindex(*(subdivisions,) * d)), float)
+    cube = np.array(list(np.ndindex(*(2,) * d)), float)
+    corners = (parts[:, None, :] + cube) / subdivisions
+    ijk = lattice.cell_ijk[:own]
+    low = np.column_stack([line[ijk[:, k]] for k, line in enumerate(lattice.lines)])
+    high = np.column_stack([line[ijk[:, k] + 1] for k, line in enumerate(lattice.lines)])
+    size = (high - low)[:, None, None, :]
+    boxes = low[:, None, None, :] + corners * size
+    return boxes.reshape(-1, 2**d, d)[:, kuhn(d)].reshape(-1, d + 1, d)
+
+
+def segments_of(vertices: Any, closed: bool) -> Array:
+    """Ends of the segments of a chain (m), shape (segments, 2, 2).
+
+    Args:
+        vertices: Corners (m), shape (n, 2).
+        closed: Whether a segment joins the last corner to the first.
+
+    Raises:
+        FieldShapeError: The corners have another shape.
+        ParameterError: There are too few corners, or a corner is given twice in a row.
+    """
+    corners = corners_of("vertices", vertices, 2)
+    if len(corners) < 2 + closed:
+        raise ParameterError(f"vertices are {len(corners)}; a boundary has {2 + closed} or more")
+    ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    ends = ends if closed else ends[:-1]
+    short = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == 0
+    if short.any():
+        raise ParameterError(f"the vertex {ends[short][0, 0]} m is given twice in a row")
+    return ends
+
+
+def triangles_of(vertices: Any, triangles: Any) -> Array:
+    """Corners of triangles (m), shape (m, 3, 3).
+
+    Args:
+        vertices: Corners (m), shape (n, 3).
+        triangles: Three corners per triangle, shape (m, 3).
+
+    Raises:
+        FieldShapeError: An array has another shape.
+        ParameterError: A triangle has a corner that does not exist.
+    """
+    corners = corners_of("vertices", vertices, 3)
+    rows = np.asarray(triangles)
+    if rows.ndim != 2 or rows.shape[1] != 3 or not np.issubdtype(rows.dtype, np.integer):
+        raise FieldShapeError(
+            f"triangles should be whole numbers of shape (m, 3), got {rows.dtype} of shape "
+            f"{rows.shape}"
+        )
+    if rows.size and not (rows.min() >= 0 and rows.max() < len(corners)):
+        raise ParameterError(
+            f"triangles name vertices {rows.min()} ... {rows.max()}; there are 0 ... "
+            f"{len(corners) - 1}"
+        )
+    return corners[rows]

@@ -1,0 +1,341 @@
+"""Contact with a rigid body on an activation: corners that may touch, forces, tangent, state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm.assembly.stencilsums import Entries
+from dolfinmpm.assembly.term import NewState
+from dolfinmpm.contact.candidates import candidates, passed_through, unlisted_entered
+from dolfinmpm.contact.contactlaw import (
+    FREE,
+    SLIPS,
+    contact_forces,
+    explicit_reduction,
+    slip_work,
+)
+from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
+from dolfinmpm.contact.contacttangent import add_tangent
+from dolfinmpm.contact.corners import ALL, CornerLayout, DisplacementBasis, Rows, Which
+from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces
+from dolfinmpm.contact.protocols import RigidContactTerm
+from dolfinmpm.contact.storedenergy import normal_energy, slip_energy
+from dolfinmpm.contact.surfaces import Probe
+from dolfinmpm.cut.activation import ActiveDomain
+
+__all__ = ["ActiveRigidContact"]
+
+Array = npt.NDArray[np.float64]
+Chosen = npt.NDArray[np.bool_]
+
+# Paths of corners below this share of their coordinates are rounding
+_ROUNDING = 1e-12
+
+
+class ActiveRigidContact(ActiveContact):
+    """Contact with a rigid body, for the points and the body at the start of a step. Collective.
+
+    Args:
+        contact: The contact.
+        displacement: The basis functions of the displacement.
+        field: Number of the field of the displacement.
+        listed: The points to search, increasing, if all other points are known to be far away.
+        distance: Largest distance from the body of corners that can touch in this step (m).
+        means: Weights of mean forces over a step in its balance; None for forces at its end.
+
+    Attributes:
+        contact, field, means: The arguments.
+        clings: True holds corners that touched before, as long as nothing has moved. So the first
+            iteration of Newton's method takes these corners along with a body that moves away.
+        layout: Where the corners are.
+        candidates: The points that may touch, increasing.
+        corners: Corners that may touch in this step.
+        x: Last computed positions of the corners (m), shape (m, gdim).
+        local_start: Positions at the start of the step in the frame of the body (m), shape
+            (m, gdim).
+        start: State of the corners at the start of the step.
+        now: Forces on the corners.
+    """
+
+    pushes = True
+
+    def __init__(
+        self, contact: RigidContactTerm, displacement: DisplacementBasis, field: int = 0,
+        listed: Rows | None = None, distance: float = math.inf,
+        means: MeanForceWeights | None = None,
+    ):  # fmt: skip
+        self.contact, self.clings, self.field = contact, False, field
+        self.means = means
+        self.layout = CornerLayout(contact.points, displacement, contact.surface, contact.material)
+        self.candidates = candidates(contact, self.layout, listed, distance)
+        self.corners = c = self.layout.corners(
+            self.candidates, lambda x: self._near_corners(x, distance)
+        )
+        self.x: Array = c.x.copy()
+        self.now = ContactForces.zero(*c.x.shape)
+        self.start = self._at_start(displacement.growth is not None)
+        self._explicit = means is None and displacement.growth is not None
+
+    def _near_corners(self, x: Array, distance: float) -> Which:
+        """Choose the corners near the body, and keep the surface's values at these corners.
+
+        Args:
+            x: Positions of corners (m), shape (n, gdim).
+            distance: See the class.
+        """
+        body = self.contact.body
+        self.local_start = body.start.back(x)
+        self._probe = body.surface.probe(self.local_start)
+        if math.isinf(distance):
+            return ALL
+        near = np.flatnonzero(self._probe[0] <= distance)
+        self.local_start = self.local_start[near]
+        gap, normal, curvature = self._probe
+        self._probe = gap[near], normal[near], curvature[near]
+        return near
+
+    def _at_start(self, in_time: bool) -> ContactStart:
+        """State of the corners at the start of the step."""
+        contact, points, c = self.contact, self.contact.points, self.corners
+        names, own = contact.names, (c.rows, c.which)
+        normal_force = points[names.normal_force][own]
+        areas = self.layout.areas(c, contact.body.start.directions(self._probe[1]))
+        k = contact.stiffness_at(c.rows) * areas
+        if in_time:
+            # the stiffness of a touching corner must not change with the normal: the stored
+            # energy would change too
+            kept = points[names.stiffness][own]
+            k = np.where((normal_force > 0.0) & (kept > 0.0), kept, k)
+        no_bound = contact.law.penetration is None
+        multiplier = np.zeros(len(c.x)) if no_bound else normal_force
+        return ContactStart(
+            self._probe[0], points[names.tangential_force][own], normal_force, k, multiplier,
+            points[names.closing][own],
+        )  # fmt: skip
+
+    @staticmethod
+    def on(contact: RigidContactTerm, here: ActiveDomain) -> ActiveRigidContact:
+        """A contact on an activation. Collective."""
+        k = next(k for k, f in enumerate(here.fields) if f.space.increment is contact.u)
+        displacement = DisplacementBasis.of(
+            here.fields[k], here.total, len(contact.points), contact.in_time
+        )
+        return ActiveRigidContact(contact, displacement, k, means=contact.means)
+
+    def fault(self, new: NewState) -> str | None:
+        """See `ActiveTerm`: points that passed through the body or entered it. Collective."""
+        if not new.moves:
+            return None
+        points = self.contact.points
+        # all ranks have the same answer
+        if unlisted_entered(self, new.fields["x"], points["x"]):
+            return "material points got into a rigid body from further away than was looked at"
+        found = points.comm.allgather(passed_through(self))
+        return next((reason for reason in found if reason is not None), None)
+
+    # -- forces ---------------------------------------------------------------
+
+    def touch(self, u: Sequence[Array], scale: float) -> None:
+        """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
+        if not len(self.x):
+            return
+        own = u[self.field]
+        if self.means is not None and self.means.scale != scale:
+            own = self.means.scale / scale * own
+        displacement = self.corners.stencils.displacement(own)
+        self.compute(displacement, self.clings and not own.any())
+
+    def compute(self, displacement: Array, clings: bool = False) -> None:
+        """Compute the forces on moved corners, at the present pose of the body.
+
+        Args:
+            displacement: Displacements of the corners in the step (m), shape (m, gdim).
+            clings: Whether corners that touched before are held.
+        """
+        pose = self.contact.body.pose
+        self.x = self.corners.x + displacement
+        at = pose.back(self.x)
+        holds = self.start.normal_force > 0.0
+        if not clings:
+            holds[:] = False
+        # a corner comes no nearer than the length of its path
+        self.now.path = np.linalg.norm(at - self.local_start, axis=1)
+        far = self.start.gap > self.now.path
+        c = np.flatnonzero(~far | holds | (self.start.multiplier > 0.0))
+        probe = self.contact.body.surface.probe(at[c])
+        moved = self.now.path > _ROUNDING * np.abs(at).max(initial=0.0)
+        # at the start of a step the closing of the last step counts
+        closing = self.start.gap[c] - probe[0] if moved.any() else self.start.closing[c]
+        self._compute(c, at, probe, holds, closing)
+
+    def compute_at_start(self) -> None:
+        """Compute the forces for corners and body at the start of the step."""
+        self.x = self.corners.x
+        c = np.flatnonzero((self.start.gap <= 0.0) | (self.start.multiplier > 0.0))
+        gap, normal, curvature = self._probe
+        probe = gap[c], normal[c], curvature[c]
+        none = np.zeros(len(self.x), bool)
+        self._compute(c, self.local_start, probe, none, self.start.closing[c])
+
+    def _compute(self, c: Rows, at: Array, probe: Probe, holds: Chosen, closing: Array) -> None:
+        """Compute the forces on some corners. All other corners have no forces.
+
+        Args:
+            c: The corners.
+            at: Positions of all corners in the frame of the body (m), shape (m, gdim).
+            probe: Values of the surface at the given corners.
+            holds: Which of all corners are held even outside the body, shape (m,).
+            closing: Closing of the gaps in a step (m), shape (c,).
+        """
+        now, start, law = self.now, self.start, self.contact.law
+        now.clear()
+        if self.means is not None:
+            self._compute_means(c, at, probe)
+            return
+        if not c.size:
+            return
+        k = start.stiffness[c]
+        found = [np.empty((c.size, *own.shape[1:])) for own in now.by_law]
+        state = np.empty(c.size, np.int8)
+        contact_forces(
+            *probe, at[c], self.local_start[c], start.tangential[c], start.multiplier[c], k,
+            law.slip_share * k, law.friction, holds[c], *found, state,
+        )  # fmt: skip
+        for own, values in zip(now.by_law, found):
+            own[c] = values
+        now.gap[c], now.states[c] = probe[0], state
+        if self._explicit:
+            found[0] -= explicit_reduction(probe[0], closing, found[2])[:, None] * probe[1]
+            now.closed[c] = closing
+        now.forces[c] = self.contact.body.pose.directions(found[0])
+
+    def _compute_means(self, c: Rows, at: Array, probe: Probe) -> None:
+        """Compute mean forces over the step; see `_compute`."""
+        now, start, law, body = self.now, self.start, self.contact.law, self.contact.body
+        rubbed = np.any(start.tangential != 0.0, axis=1)
+        if rubbed.any():
+            c = np.union1d(c, np.flatnonzero(rubbed))
+            probe = body.surface.probe(at[c])
+        now.loss[:] = 0.0
+        if not c.size:
+            return
+        k, path = start.stiffness[c], at[c] - self.local_start[c]
+        middle = body.surface.probe(self.local_start[c] + 0.5 * path)[1:]
+        found = [np.empty((c.size, *own.shape[1:])) for own in now.by_law]
+        loss, state = np.empty(c.size), np.empty(c.size, np.int8)
+        mean_forces(
+            start.gap[c], *probe[:2], *middle, path, start.tangential[c], start.multiplier[c], k,
+            law.slip_share * k, law.friction, *found, loss, state,
+        )  # fmt: skip
+        for own, values in zip(now.by_law, found):
+            own[c] = values
+        now.gap[c], now.states[c], now.loss[c] = probe[0], state, loss
+        # the frame of the body in the middle of its rotation
+        U, _, Vt = np.linalg.svd(0.5 * (body.start.rotation + body.pose.rotation))
+        self._middle_rotation = U @ Vt
+        now.forces[c] = found[0] @ self._middle_rotation.T
+
+    def internal(self, out: Sequence[Array]) -> bool:
+        """See `ActiveTerm`: last computed forces, which resist, −f (N)."""
+        if self.states.any():
+            self.corners.stencils.add(-self.force_weight * self.forces, out[self.field])
+        return True
+
+    def add_forces(self, out: Array) -> None:
+        """Add the nodal forces (N)."""
+        if self.states.any():
+            self.corners.stencils.add(self.forces, out)
+
+    def tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """See `ActiveTerm`."""
+        active = np.flatnonzero(self.states != FREE)
+        if active.size == 0:
+            return
+        rows, to = self.corners.stencils.rows(), entries[self.field, self.field]
+        add_tangent(active, rows, rows, -self.tangent_weight * self.derivative(active), to)
+
+    def derivative(self, active: Rows) -> Array:
+        """Derivative of the forces by the corners' positions (N/m), shape (n, gdim, gdim)."""
+        Q = self.contact.body.pose.rotation
+        P = Q if self.means is None else self._middle_rotation
+        return np.einsum("ij,cjk,lk->cil", P, self.now.derivative[active], Q)
+
+    # -- resultants, energy and state -------------------------------------------
+
+    def lever(self) -> Array:
+        """Lever arms from the body's centre to the forces in the step (m), shape (m, gdim)."""
+        body = self.contact.body
+        if self.means is None:
+            return np.asarray(self.x - body.pose.centre)
+        middle = 0.5 * (self.corners.x + self.x)
+        return np.asarray(middle - 0.5 * (body.start.centre + body.pose.centre))
+
+    def totals(self) -> tuple[Array, Array]:
+        """Force and moment of the points on the body (N, N m), on all ranks. Collective.
+
+        In axisymmetric problems they act on the whole circumference.
+        """
+        moment = _cross(self.lever(), self.forces)
+        both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])
+        both = -self.contact.points.comm.allreduce(both, op=MPI.SUM)
+        d = self.forces.shape[1]
+        if self.contact.points.axisymmetric:
+            # the resultant over the circumference has the direction of the axis
+            both[[0, d]] = 0.0
+        return both[:d], both[d:]
+
+    def update(self, new: NewState) -> None:
+        """See `ActiveTerm`."""
+        points, c = self.contact.points, self.corners
+        for name, values in self.end_state():
+            new.fields[name] = np.zeros_like(points[name])
+            new.fields[name][c.rows, c.which] = values
+
+    def end_state(self) -> list[tuple[str, Array]]:
+        """State of the corners at the end of the step: names of the points' fields, and values."""
+        names, now = self.contact.names, self.now
+        return [
+            (names.tangential_force, now.tangential),
+            (names.normal_force, now.normal),
+            (names.stiffness, np.where(now.normal > 0.0, self.start.stiffness, 0.0)),
+            (names.closing, now.closed),
+        ]
+
+    def stored(self, before: bool = False) -> float:
+        """Energy stored by the penalties (J), on all ranks. Collective.
+
+        Args:
+            before: True for the energy at the end of the last step.
+        """
+        law, k = self.contact.law, self.start.stiffness
+        normal = self.start.normal_force if before else self.now.normal
+        own = float(normal_energy(normal, k).sum())
+        if law.friction:
+            tangential = self.start.tangential if before else self.now.tangential
+            own += float(slip_energy(tangential, k, law.slip_share).sum())
+        return self.contact.points.comm.allreduce(own, op=MPI.SUM)
+
+    def dissipated(self) -> float:
+        """Work dissipated by friction in this step (J), on all ranks. Collective."""
+        slips = np.flatnonzero(self.states == SLIPS)
+        done = float(self.now.loss.sum())
+        if slips.size and self.means is None:
+            at = self.contact.body.pose.back(self.x[slips])
+            n = self.contact.body.surface.probe(at)[1]
+            stiffness = self.contact.law.slip_share * self.start.stiffness[slips]
+            slip = at - self.local_start[slips]
+            before = self.start.tangential[slips]
+            done = float(slip_work(self.now.tangential[slips], before, slip, n, stiffness).sum())
+        return self.contact.points.comm.allreduce(done, op=MPI.SUM)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Moments of forces b at arms a, shape (n, 1) in 2D, (n, 3) in 3D."""
+    if a.shape[1] == 3:
+        return np.asarray(np.cross(a, b), float)
+    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]

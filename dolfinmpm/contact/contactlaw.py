@@ -1,0 +1,190 @@
+"""The contact law: forces of a penalty or a multiplier at contact points, and Coulomb's friction.
+
+A rigid surface has the gap g, the outward normal n and H = ∇n at a contact point at ξ. All
+quantities are in the frame of the body. So a motion of the body itself is no slip:
+
+    p = max(0, λ − ε_N g),    w = t_n − ε_T (ξ − ξ_n),    t = P w if |P w| ≤ μ p,
+    t = μ p P w/|P w| else,    f = p n + t,    P = I − n ⊗ n,
+
+This is the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
+Mechanics, 2006, ch. 10; AMPSSIE uses it in the material point method). The derivative of f by ξ is
+exact and contains the derivative of the normal. It is not symmetric where a point slips.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import number
+from dolfinmpm._platform.units import friction_coefficient
+
+__all__ = [
+    "FREE",
+    "SLIPS",
+    "STICKS",
+    "ContactLaw",
+    "contact_forces",
+    "explicit_reduction",
+    "slip_work",
+]
+
+Array = npt.NDArray[np.float64]
+
+FREE, STICKS, SLIPS = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """Parameters of a contact law, as the user gives them.
+
+    Attributes:
+        friction: μ.
+        penalty: Penalty in units of E/h, if `stiffness` is None.
+        stiffness: Penalty per area κ (Pa/m), or None.
+        slip_share: ε_T/ε_N.
+        penetration: Largest penetration (m), bounded by multipliers, or None.
+
+    Raises:
+        ParameterError: A parameter has the wrong type or a value outside its range.
+    """
+
+    friction: float
+    penalty: float
+    stiffness: float | None
+    slip_share: float
+    penetration: float | None
+
+    def __post_init__(self) -> None:
+        # frozen: the number is kept as a float
+        object.__setattr__(self, "friction", friction_coefficient(self.friction))
+        number("penalty", self.penalty, 0.0)
+        if self.stiffness is not None:
+            number("stiffness_per_area", self.stiffness, 0.0, unit="Pa/m")
+        number("slip_stiffness", self.slip_share, 0.0)
+        if self.penetration is not None:
+            number("penetration", self.penetration, 0.0, unit="m")
+
+
+@numba.njit(cache=True, error_model="numpy")
+def contact_forces(
+    gap, normal, curvature, at, start, before, multiplier, normal_stiffness, slip_stiffness,
+    friction, holds, force, tangential, normal_force, derivative, state,
+):  # fmt: skip
+    """Forces at contact points and their derivatives; see above. All in the frame of the body.
+
+    Args:
+        gap, normal, curvature: g, n and H at the points, shapes (m,), (m, d), (m, d, d).
+        at, start: ξ and ξ_n (m), shape (m, d).
+        before: t_n (N), shape (m, d).
+        multiplier: λ (N), shape (m,).
+        normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
+        friction: μ.
+        holds: Points that stay in contact even outside the body, with p < 0, shape (m,).
+        force: Output: f (N), shape (m, d).
+        tangential: Output: t (N), shape (m, d).
+        normal_force: Output: p (N), shape (m,).
+        derivative: Output: ∂f/∂ξ (N/m), shape (m, d, d).
+        state: Output: FREE, STICKS or SLIPS, shape (m,). Contact without friction counts as STICKS.
+    """
+    d = at.shape[1]
+    w, trial, dn = np.empty(d), np.empty(d), np.empty(d)
+    tangent = np.empty((d, d))
+    for c in range(at.shape[0]):
+        n, H = normal[c], curvature[c]
+        eN, eT = normal_stiffness[c], slip_stiffness[c]
+        p = multiplier[c] - eN * gap[c]
+        state[c] = FREE
+        normal_force[c] = 0.0
+        for i in range(d):
+            force[c, i] = 0.0
+            tangential[c, i] = 0.0
+            for j in range(d):
+                derivative[c, i, j] = 0.0
+        if not (p > 0.0 or holds[c]):
+            continue
+        normal_force[c] = p
+        state[c] = STICKS
+        for i in range(d):
+            force[c, i] = p * n[i]
+            for j in range(d):
+                derivative[c, i, j] = p * H[i, j] - eN * n[i] * n[j]
+        if friction == 0.0 or p <= 0.0:
+            continue
+        along = 0.0
+        for i in range(d):
+            w[i] = before[c, i] - eT * (at[c, i] - start[c, i])
+            along += w[i] * n[i]
+        size = 0.0
+        for i in range(d):
+            trial[i] = w[i] - along * n[i]
+            size += trial[i] * trial[i]
+        size = math.sqrt(size)
+        for j in range(d):
+            dn[j] = 0.0
+            for i in range(d):
+                dn[j] += w[i] * H[i, j]
+        for i in range(d):
+            for j in range(d):
+                tangent[i, j] = eT * n[i] * n[j] - along * H[i, j] - n[i] * dn[j]
+            tangent[i, i] -= eT
+        if size <= friction * p:
+            for i in range(d):
+                tangential[c, i] = trial[i]
+                force[c, i] += trial[i]
+                for j in range(d):
+                    derivative[c, i, j] += tangent[i, j]
+            continue
+        state[c] = SLIPS
+        share = friction * p / size
+        for i in range(d):
+            tangential[c, i] = share * trial[i]
+            force[c, i] += share * trial[i]
+        for j in range(d):
+            dsize = 0.0
+            for i in range(d):
+                dsize += trial[i] * tangent[i, j]
+            dsize /= size
+            for i in range(d):
+                s = trial[i] / size
+                derivative[c, i, j] += (
+                    share * (tangent[i, j] - s * dsize) - friction * eN * n[j] * s
+                )
+
+
+def slip_work(tangential: Array, before: Array, slip: Array, normal: Array, stiffness: Array):
+    """Work dissipated by friction at points that slip (J), shape (m,).
+
+    Args:
+        tangential, before: t and t_n (N), shape (m, d).
+        slip: ξ − ξ_n (m), shape (m, d).
+        normal: n, shape (m, d).
+        stiffness: ε_T (N/m), shape (m,).
+    """
+    w = before - stiffness[:, None] * slip
+    trial = np.linalg.norm(w - np.sum(w * normal, axis=1)[:, None] * normal, axis=1)
+    size = np.linalg.norm(tangential, axis=1)
+    return size * (trial - size) / stiffness
+
+
+def explicit_reduction(gap: Array, closing: Array, normal_force: Array) -> Array:
+    """Reduction of normal forces in an explicit step, (p/2) max(0, 1 − |g|/|Δg|) (N), shape (m,).
+
+    A force at the start of a step acts for half a step before and for half a step after. In one of
+    these halves the point may be outside for some time. The work of p = −ε_N g over this half
+    then differs from the energy of the penalty, ½ ε_N g². So half of the force acts only by the
+    share |g|/|Δg| of the time inside. The work over a contact is then that of the penalty to
+    second order, wherever in a step the contact begins and ends.
+
+    Args:
+        gap: g (m), shape (m,).
+        closing: Closing or opening of the gaps in a step (m), shape (m,).
+        normal_force: p (N), shape (m,).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        outside = 1.0 - np.abs(gap) / np.abs(closing)
+    return 0.5 * np.where(outside > 0.0, outside, 0.0) * np.maximum(normal_force, 0.0)

@@ -1,0 +1,147 @@
+"""State and forces of contact points, and what all active contacts have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm.assembly.term import ActiveTerm
+from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS
+from dolfinmpm.contact.meanforces import MeanForceWeights
+
+__all__ = ["ActiveContact", "ContactForces", "ContactStart"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class ContactStart:
+    """State of m contact points at the start of a step.
+
+    Attributes:
+        gap: Gaps (m), shape (m,).
+        tangential: Tangential forces (N), shape (m, gdim).
+        normal_force: Normal forces (N), shape (m,).
+        stiffness: Penalties ε_N (N/m), shape (m,).
+        multiplier: Multipliers of the normal force (N), shape (m,).
+        closing: Closing of the gaps in the last step (m), shape (m,).
+    """
+
+    gap: Array
+    tangential: Array
+    normal_force: Array
+    stiffness: Array
+    multiplier: Array
+    closing: Array
+
+
+@dataclass
+class ContactForces:
+    """Forces on m contact points as last computed.
+
+    Attributes:
+        forces: Forces in the frame of the grid (N), shape (m, gdim).
+        tangential: Tangential forces at the end of the step (N), shape (m, gdim), in the frame of
+            the rigid body if there is one.
+        normal: Normal forces (N), shape (m,).
+        derivative: Derivatives of the forces by the positions (N/m), shape (m, gdim, gdim), in the
+            frame of `tangential`.
+        states: State of each point: FREE, STICKS or SLIPS, shape (m,).
+        gap: Gaps (m), shape (m,); infinite where no gap was computed.
+        path: Paths of the points in the step, in the frame of the body (m), shape (m,).
+        loss: Work dissipated by friction (J), shape (m,).
+        closed: Closing of the gaps in the step (m), shape (m,).
+    """
+
+    forces: Array
+    tangential: Array
+    normal: Array
+    derivative: Array
+    states: npt.NDArray[np.int8]
+    gap: Array
+    path: Array
+    loss: Array
+    closed: Array
+
+    @staticmethod
+    def zero(m: int, d: int) -> ContactForces:
+        """No forces on m points in d dimensions."""
+        return ContactForces(
+            np.zeros((m, d)), np.zeros((m, d)), np.zeros(m), np.zeros((m, d, d)),
+            np.full(m, FREE, np.int8), np.full(m, np.inf), np.zeros(m), np.zeros(m), np.zeros(m),
+        )  # fmt: skip
+
+    def clear(self) -> None:
+        """Set all forces to zero."""
+        self.gap[:], self.states[:] = np.inf, FREE
+        for values in (*self.by_law, self.closed):
+            values[:] = 0.0
+
+    @property
+    def by_law(self) -> tuple[Array, ...]:
+        """Arrays that the contact law fills: forces, tangential, normal, derivative."""
+        return self.forces, self.tangential, self.normal, self.derivative
+
+
+class ActiveContact(ActiveTerm):
+    """Base of contacts: contact points with a state at the start of the step, and forces.
+
+    Attributes:
+        contact: The contact of the form.
+        means: Weights of mean forces over a step in its balance; None for forces at its end.
+        start: State of the contact points at the start of the step.
+        now: Forces on the contact points.
+    """
+
+    kind = "contact"
+    contact: Any
+    means: MeanForceWeights | None
+    start: ContactStart
+    now: ContactForces
+
+    @property
+    def forces(self) -> Array:
+        """Last computed forces on the contact points (N), shape (m, gdim)."""
+        return self.now.forces
+
+    @property
+    def states(self) -> npt.NDArray[np.int8]:
+        """States of the contact points (FREE, STICKS or SLIPS), shape (m,)."""
+        return self.now.states
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """Numbers of points of this rank that stick, or touch without friction, and that slip."""
+        return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
+
+    @property
+    def force_weight(self) -> float:
+        """Weight of the forces in a step's balance."""
+        return 1.0 if self.means is None else self.means.weight
+
+    @property
+    def tangent_weight(self) -> float:
+        """Weight of derivatives of forces by the increments in a step's balance."""
+        return 1.0 if self.means is None else self.means.weight * self.means.scale
+
+    def augment(self) -> bool:
+        """See `ActiveTerm`: normal forces become multipliers if a penetration exceeds the bound.
+
+        Collective.
+
+        Returns:
+            Whether a penetration exceeded the bound, so that balance must be found again.
+        """
+        bound = self.contact.law.penetration
+        if bound is None:
+            return False
+        deepest = float(-self.now.gap.min(initial=0.0))
+        deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
+        if deepest <= bound:
+            return False
+        self.start.multiplier = self.now.normal.copy()
+        return True

@@ -1,0 +1,195 @@
+"""The free motion of a rigid body: its mass, loads, velocity, and increments.
+
+The motion in a step has one component per direction and per rotation: (u_x, u_y, θ) in 2D,
+(u_x, u_y, u_z, θ_x, θ_y, θ_z) in 3D. Components that are not free follow the prescribed motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfinmpm._platform.argumentchecks import coordinates, number, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.pose import Pose
+
+__all__ = ["FreeMotion", "vector"]
+
+Array = npt.NDArray[np.float64]
+
+
+class FreeMotion:
+    """The free components of a body's motion, with their inertia and loads.
+
+    Args:
+        gdim: Dimension of space.
+        free: Whether each component is free, shape (3,) or in 3D (6,).
+        mass: Mass (kg), or None without inertia.
+        inertia: Moment of inertia about the centre (kg m²): a number, or in 3D three for the axes
+            of the body in its initial position.
+        gravity: Acceleration of gravity (m/s²), shape (gdim,), or a DOLFINx constant.
+        force: Further force at its centre (N), likewise, or a function of time.
+        moment: Further moment (N m), shape (1,) or in 3D (3,), likewise.
+        velocity: Initial velocity of the components (m/s, rad/s), shape (components,).
+
+    Attributes:
+        free: The argument, as indices.
+        velocity: Velocity of all components (m/s, rad/s), shape (components,).
+        acceleration: Acceleration of all components (m/s², rad/s²), likewise. None before it is
+            known.
+        increment: Increment of all components in the step (m, rad), likewise.
+
+    Raises:
+        ParameterError: An argument has the wrong type or a value outside its range.
+    """
+
+    def __init__(
+        self, gdim: int, free: Any, mass: Any, inertia: Any, gravity: Any, force: Any,
+        moment: Any, velocity: Array,
+    ):  # fmt: skip
+        self._gdim = gdim
+        size = 3 if gdim == 2 else 6
+        if free is None:
+            free = (True,) * size
+        flags = isinstance(free, (Sequence, np.ndarray)) and not isinstance(free, str)
+        if not flags or len(free) != size or any(f not in (False, True) for f in free):
+            raise ParameterError(
+                f"free = {shown(free)} must have {size} values True or False, one per component: "
+                "the directions first, then the rotations"
+            )
+        self.free = np.flatnonzero(np.asarray(free, bool))
+        self.mass = None if mass is None else number("mass", mass, 0.0, unit="kg")
+        turns = size - gdim
+        self._inertia = None
+        if inertia is not None:
+            values = np.atleast_1d(coordinates("inertia", inertia))
+            if values.shape not in ((1,), (turns,)) or not np.all((values > 0) & (values < np.inf)):
+                raise ParameterError(
+                    f"inertia = {shown(inertia)} kg m² must be positive: a number, or in 3D three"
+                )
+            self._inertia = np.broadcast_to(values, (turns,)).astype(float)
+        turning = np.any(self.free >= gdim)
+        if self.mass is not None and turning and self._inertia is None:
+            raise ParameterError(
+                "a body with a mass that is free to rotate needs its inertia (kg m²): give "
+                "inertia=..."
+            )
+        if gravity is not None and self.mass is None:
+            raise ParameterError(
+                "gravity acts on a mass, and the body has none: give mass=... (kg), or a force"
+            )
+        self._gravity = _Load("gravity", gravity, gdim)
+        self._force, self._moment = _Load("force", force, gdim), _Load("moment", moment, turns)
+        self.velocity = np.array(velocity, float)
+        self.acceleration: Array | None = None
+        self.increment = np.zeros(size)
+
+    @property
+    def loads(self) -> list[fem.Constant]:
+        """DOLFINx constants in its loads."""
+        parts = self._gravity, self._force, self._moment
+        return [p.given for p in parts if isinstance(p.given, fem.Constant)]
+
+    def external(self, t: float) -> Array:
+        """Forces and moments other than contact (N, N m), shape (components,)."""
+        force = self._force.value(t)
+        if self.mass is not None:
+            force = force + self.mass * self._gravity.value(t)
+        return np.concatenate([force, self._moment.value(t)])
+
+    def inertia(self, pose: Pose) -> Array:
+        """Mass matrix of all components, shape (components, components); zero without a mass."""
+        size, d = self.increment.size, self._gdim
+        M = np.zeros((size, size))
+        if self.mass is None:
+            return M
+        M[:d, :d] = self.mass * np.eye(d)
+        own = self._inertia if self._inertia is not None else np.zeros(size - d)
+        M[d:, d:] = np.diag(own) if d == 2 else pose.rotation @ np.diag(own) @ pose.rotation.T
+        return M
+
+    def gyroscopic(self, pose: Pose) -> Array:
+        """ω × Jω of a rotating body (N m), as forces on all components; zero in 2D."""
+        out = np.zeros(self.increment.size)
+        if self._gdim == 3 and self.mass is not None:
+            J, w = self.inertia(pose)[3:, 3:], self.velocity[3:]
+            out[3:] = np.cross(w, J @ w)
+        return out
+
+    def begin(self, pose: Pose, force: Array, t: float, afresh: bool) -> None:
+        """Find the acceleration at the start of a step if it is unknown.
+
+        Args:
+            pose: The body's pose.
+            force: Force and moment of contact (N, N m), shape (components,).
+            t: Time (s).
+            afresh: Whether a load jumps, so that the acceleration differs from the end of the last
+                step.
+        """
+        if self.mass is None or (self.acceleration is not None and not afresh):
+            return
+        self.acceleration = np.zeros(self.increment.size)
+        at = np.ix_(self.free, self.free)
+        out = self.external(t) + force - self.gyroscopic(pose)
+        self.acceleration[self.free] = np.linalg.solve(self.inertia(pose)[at], out[self.free])
+
+    def go_on(self, dt: float) -> None:
+        """Set the increment of a body that continues its motion for a time dt (s)."""
+        free, self.increment = self.free, np.zeros_like(self.increment)
+        self.increment[free] = dt * self.velocity[free]
+        if self.acceleration is not None:
+            self.increment[free] += 0.5 * dt**2 * self.acceleration[free]
+
+    def parts(self, share: float) -> tuple[Array, Array]:
+        """Translation (m) and rotation (rad) of the free components at a share of the step."""
+        return share * self.increment[: self._gdim], share * self.increment[self._gdim :]
+
+
+class _Load:
+    """A load: numbers, a DOLFINx constant, or a function of time."""
+
+    def __init__(self, name: str, given: Any, size: int):
+        self._name, self._size, self.given = name, size, given
+        if given is not None and not isinstance(given, fem.Constant) and not callable(given):
+            self.given = vector(name, given, size)
+        if isinstance(given, fem.Constant) and given.value.size != size:
+            raise ParameterError(f"{name} has {given.value.size} components and must have {size}")
+
+    def value(self, t: float) -> Array:
+        given = self.given
+        if given is None:
+            return np.zeros(self._size)
+        if isinstance(given, fem.Constant):
+            return np.array(given.value, float).ravel()
+        if callable(given):
+            return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(given(t))), self._size)
+        return np.asarray(given)
+
+
+def vector(what: str, given: Any, size: int) -> Array:
+    """A given number of finite numbers as an array, shape (size,).
+
+    Raises:
+        ParameterError: The values are not finite numbers, or their number is wrong.
+    """
+    try:
+        values = np.atleast_1d(np.asarray(given, float))
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (size,) or not np.isfinite(values).all():
+        raise ParameterError(f"{what} = {shown(given)} must be {size} finite numbers")
+    return values
+
+
+def cross_matrix(arms: Array) -> Array:
+    """S with S(a) f = a × f, shape (n, 1, 2) of arms in 2D, (n, 3, 3) in 3D."""
+    if arms.shape[1] == 2:
+        return np.stack([-arms[:, 1], arms[:, 0]], axis=1)[:, None]
+    S = np.zeros((len(arms), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -arms[:, 2], arms[:, 1], -arms[:, 0]
+    S[:, 1, 0], S[:, 2, 0], S[:, 2, 1] = arms[:, 2], -arms[:, 1], arms[:, 0]
+    return S

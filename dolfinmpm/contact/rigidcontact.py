@@ -1,0 +1,271 @@
+"""The term of a weak form by which material points touch a rigid body."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from mpi4py import MPI
+
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind, choice
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.assembly.term import Term, as_form
+from dolfinmpm.body.axisymmetry import ring
+from dolfinmpm.body.formarguments import check_displacement, check_points
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.contactlaw import ContactLaw
+from dolfinmpm.contact.corners import corner_count
+from dolfinmpm.contact.meanforces import MeanForceWeights
+from dolfinmpm.contact.protocols import CornerFields
+from dolfinmpm.contact.rigidbody import RigidBody
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.grid.lattice import smallest_height
+
+__all__ = ["RigidContact", "contact"]
+
+Array = npt.NDArray[np.float64]
+
+
+class RigidContact(Term):
+    """Contact of material points with a rigid body in a weak form; see `contact`.
+
+    Args:
+        body, points, u: The body, the points, and the increment that moves the points.
+        surface: Marked faces, or None.
+        material: True if corners follow the points' material, False if they follow the domains.
+        tags: Tags of the points that touch, or None for all points.
+        law: The contact law.
+
+    Attributes:
+        body, points, u, surface, material, tags, law: The arguments.
+        names: Names of the points' fields with the state of the contact.
+        dissipated: Work dissipated by friction (J), on all ranks.
+        means: Weights of mean forces over a step in its balance; None for forces at the end.
+        in_time: Whether steps have inertia.
+        limit: Largest motion of the body at once (m).
+    """
+
+    def __init__(
+        self, body: RigidBody, points: MaterialPoints, u: Any, surface: Surface | None,
+        material: bool, tags: Tags, law: ContactLaw,
+    ):  # fmt: skip
+        self.body, self.points, self.u = body, points, u
+        self.surface, self.material, self.tags, self.law = surface, material, tags, law
+        self._cell: float | None = None
+        counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
+        first = f"contact{next(counter)}"
+        self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
+        self.dissipated = 0.0
+        self.means: MeanForceWeights | None = None
+        self.in_time, self.limit = False, math.inf
+
+    kind, definite, fusable = "contact", False, True
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """See `Term`: slip makes the tangent unsymmetric."""
+        return not self.law.friction
+
+    @property
+    def loads(self) -> list[Any]:
+        """See `Term`: the loads on the free components of the body."""
+        return self.body.loads
+
+    def start_in_time(self, means: MeanForceWeights | None) -> None:
+        """See `Term`."""
+        self.means, self.in_time = means, True
+
+    def __repr__(self) -> str:
+        return f"the contact with '{self.body.name}'"
+
+    def bind(self, declarations: Sequence[Declaration]) -> None:
+        """Add the fields of the contact to the points; see `names`. Collective.
+
+        Raises:
+            ParameterError: The penalty needs Young's modulus, and a point has none.
+        """
+        points, names = self.points, self.names
+        count = corner_count(points.gdim, self.surface)
+        points.add_field(names.tangential_force, (count, points.gdim), "N")
+        points.add_field(names.normal_force, (count,), "N")
+        points.add_field(names.stiffness, (count,), "N/m")
+        points.add_field(names.closing, (count,), "m")
+        if self.law.stiffness is not None:
+            return
+        points.add_field(names.modulus, (), "Pa")
+        if self._cell is None:
+            # a regridded grid must not change the stiffness of the contact
+            self._cell = smallest_height(points.grid)
+        E = points[names.modulus]
+        new = E == 0.0
+        if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
+            found = np.zeros((len(points), 2))
+            for declaration in declarations:
+                found[declaration.rows] = declaration.elastic.moduli()
+            lame = found[:, 0] - 2 * found[:, 1]
+            whole = found[:, 0] - found[:, 1]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                young = found[:, 1] * (2 * found[:, 1] + 3 * lame) / whole
+            E[new] = np.where(whole > 0, young, 0.0)[new]
+        error = None
+        mine = np.ones(len(points), bool) if self.tags is None else self.chosen()
+        if not np.all(E[mine] > 0):
+            p = int(np.flatnonzero(mine & ~(E > 0))[0])
+            error = ParameterError(
+                f"{self!r} takes its penalty from Young's modulus, and no law of the form has one "
+                f"at the point at {points['x'][p]} m: give contact(..., stiffness_per_area=...) in "
+                "Pa/m"
+            )
+        raise_together(points.comm, error)
+
+    def on(self, here: Activation) -> ActiveRigidContact:
+        """See `Term`. Collective."""
+        return ActiveRigidContact.on(self, here)
+
+    def summary(self) -> str:
+        """See `Term`."""
+        return f"contact with '{self.body.name}', friction {self.law.friction:g}"
+
+    def describe(self) -> str:
+        """See `Term`."""
+        law = self.law
+        return (
+            f"friction = {law.friction:g}, penalty = {law.penalty:g}, stiffness_per_area = "
+            f"{law.stiffness}, tag = {self.tags}"
+        )
+
+    def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
+        """Which of the given points, or of all points, have the tags of the contact."""
+        return np.isin(self.points["tag"][rows], self.tags or ())
+
+    def rate(self) -> float:
+        """Largest squared frequency due to contact (1/s²). Collective.
+
+        If the corners on one side of a point touch, the point has the stiffness κ A of a face. A
+        node at the body's edge has half the mass of its points.
+        """
+        points = self.points
+        rows = np.arange(len(points))
+        # by columns: NumPy's reductions of short rows are ten times slower
+        sides = [2 * points["l0"][:, k] for k in range(points.gdim)]
+        area = functools.reduce(np.multiply, sides) / functools.reduce(np.minimum, sides)
+        if points.axisymmetric:
+            area = ring(points["x"][:, 0], area)
+        mass = points["density"] * points["V0"]
+        worst = float((2 * self.stiffness_at(rows) * area / mass).max(initial=0.0))
+        return self.points.comm.allreduce(worst, op=MPI.MAX)
+
+    def stiffness_at(self, rows: npt.NDArray[np.integer]) -> Array:
+        """Penalty per area at some points (Pa/m), shape (len(rows),)."""
+        law = self.law
+        if law.stiffness is not None:
+            return np.full(rows.size, law.stiffness)
+        if self._cell is None:
+            raise ParameterError(f"{self!r} has no stiffness before a problem is made of the form")
+        return np.asarray(law.penalty / self._cell * self.points[self.names.modulus][rows])
+
+    def stiffness_per_area(self) -> Array:
+        """κ of the points on this rank (Pa/m), shape (points,)."""
+        return self.stiffness_at(np.arange(len(self.points)))
+
+
+def contact(
+    body: RigidBody,
+    points: MaterialPoints,
+    u: Any,
+    v: Any,
+    *,
+    friction: float = 0.0,
+    penalty: float = 5.0,
+    stiffness_per_area: float | None = None,
+    slip_stiffness: float = 0.5,
+    penetration: float | None = None,
+    surface: Surface | None = None,
+    corners: str | None = None,
+    tag: int | tuple[int, ...] | None = None,
+) -> ufl.Form:
+    """Contact with a rigid body, a term to add to the internal forces: F += contact(...).
+
+    The corners of the points' domains touch the body, see `dolfinmpm.contact.corners`, or the
+    faces of a `Surface` do. A corner with a gap g_N < 0 is inside the body. A pressure κ |g_N| per
+    area pushes the corner out. Friction follows Coulomb's law: see
+    `dolfinmpm.contact.contactlaw` for quasi-static and explicit steps, and
+    `dolfinmpm.contact.meanforces` for implicit steps in time. Each corner has a share of the
+    initial faces of its point.
+
+    The penalty leaves some penetration. With the argument `penetration`, multipliers take over the
+    pressure (Uzawa's augmented Lagrangian). Newton's method finds balance. The pressure then
+    becomes the multiplier, and Newton's method finds balance again. This ends when the bound of
+    the penetration holds. So the bound does not depend on the penalty.
+
+    In axisymmetric problems the rigid body is a body of revolution, and moves along the axis
+    only. Its meridian is the right half of the shape. Give the whole shape, symmetric about
+    x[0] = 0, such as a `Wedge` for a cone.
+
+    Args:
+        body: The rigid body. The same body may be in several terms.
+        points: Material points.
+        u: Increment of the step, `Space.increment`.
+        v: Test function, `Space.test`.
+        friction: Coefficient μ of Coulomb's friction.
+        penalty: κ in units of E/h: E is Young's modulus in the first state of the points, h the
+            smallest height of a cell. About 100 for stiff confined bodies.
+            `mpm.stiffness_per_area` returns κ.
+        stiffness_per_area: κ itself (Pa/m), instead of `penalty`.
+        slip_stiffness: Tangential stiffness during stick, as a share of κ.
+        penetration: Largest penetration (m), or None for the penalty alone.
+        surface: Marked faces that touch, instead of all corners.
+        corners: "domains" for corners of the points' domains, "material" for corners that turn
+            and shear with the points' material, see `dolfinmpm.contact.corners`. The default is
+            "material" for marked faces, and else "domains", for flowing soil.
+        tag: Tag or tags of the points that can touch. None means all points of the field of u.
+
+    Raises:
+        ParameterError: An argument has the wrong type or a value outside its range.
+
+    A plate presses a block by 1 cm:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> plate = mpm.RigidBody(mpm.Plane((0, 2), (0, -1)), increment=(0.0, -0.01), name="plate")
+    >>> F += mpm.contact(plate, points, V.increment, V.test, penalty=100.0)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+    >>> plate.force[1].round(-2).item()
+    23400.0
+    """
+    check_kind("body", body, RigidBody, "make it with mpm.RigidBody(shape)")
+    check_points(points)
+    check_displacement(points, u=u, v=v)
+    if body.gdim != points.gdim:
+        raise ParameterError(
+            f"'{body.name}' is a body in {body.gdim}D, the points are in {points.gdim}D"
+        )
+    if points.axisymmetric:
+        body.require_axis()
+    law = ContactLaw(friction, penalty, stiffness_per_area, slip_stiffness, penetration)
+    if surface is not None:
+        check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
+        if surface.points is not points:
+            raise ParameterError(f"the surface '{surface.name}' is of other points")
+    if corners is None:
+        corners = "domains" if surface is None else "material"
+    corners = choice("corners", corners, ("domains", "material"))
+    tags = as_tags(tag)
+    if tags is None:
+        # corners of points outside the field of u would not move
+        tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
+    term = RigidContact(body, points, u, surface, corners == "material", tags, law)
+    return as_form(term, u, v)

@@ -1,0 +1,192 @@
+"""Active nodes and cells of a step, and the ghost facets."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh, exterior_facet_indices
+from mpi4py import MPI
+
+from dolfinmpm._platform.compat import ghosted_partitioner
+from dolfinmpm._platform.errors import UnsupportedGridError
+from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
+from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
+from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.grid.lattice import once_per_grid
+
+__all__ = ["GhostFacets", "active_cells", "active_nodes", "entities"]
+
+GhostRows = npt.NDArray[np.int32]
+
+
+def _flags(indices: npt.NDArray[np.int32], numbering: Numbering) -> npt.NDArray[np.bool_]:
+    flags = np.zeros(numbering.size, bool)
+    flags[indices] = True
+    return numbering.share_flags(flags)
+
+
+def active_nodes(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.int32]:
+    """Nodes in the stencils of points on any rank, in increasing local order. Collective."""
+    return np.flatnonzero(_flags(stencils.nodes, numbering)).astype(np.int32)
+
+
+def active_cells(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.bool_]:
+    """Mask of the local cells that a point or its domain overlaps, on any rank. Collective."""
+    return _flags(stencils.cells, numbering)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark_boundary(active, owned, cell_facets, facet_cells, boundary):
+    for c in range(owned):
+        if active[c]:
+            for f in cell_facets[c]:
+                other = facet_cells[f, 0] + facet_cells[f, 1] - c
+                if facet_cells[f, 1] >= 0 and not active[other]:
+                    boundary[c] = True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _select_facets(active, boundary, owned_facets, cell_facets, facet_cells, rows):
+    number = 0
+    for c in range(cell_facets.shape[0]):
+        if not active[c]:
+            continue
+        for i in range(cell_facets.shape[1]):
+            f = cell_facets[c, i]
+            other = facet_cells[f, 0] + facet_cells[f, 1] - c
+            if f >= owned_facets or facet_cells[f, 1] < 0 or other < c or not active[other]:
+                continue
+            if boundary[c] or boundary[other]:
+                if number < rows.shape[0]:
+                    j = 0
+                    while cell_facets[other, j] != f:
+                        j += 1
+                    rows[number, 0], rows[number, 1] = c, i
+                    rows[number, 2], rows[number, 3] = other, j
+                number += 1
+    return number
+
+
+class GhostFacets:
+    """Interior facets between active cells of which at least one borders on an inactive cell.
+
+    This is the definition of Coombs (2023, doi 10.1002/nme.7332). The outer edge of the grid makes
+    no cell a boundary cell.
+
+    Args:
+        grid: Background grid.
+
+    Raises:
+        UnsupportedGridError: The grid is distributed without ghost cells.
+    """
+
+    def __init__(self, grid: Mesh):
+        topology, tdim = grid.topology, grid.topology.dim
+        topology.create_connectivity(tdim, tdim - 1)
+        topology.create_connectivity(tdim - 1, tdim)
+        self._owned_facets = topology.index_map(tdim - 1).size_local
+        self._cells = Numbering(grid.comm, topology.index_map(tdim))
+        to_cells = topology.connectivity(tdim - 1, tdim)
+        of_cells = topology.connectivity(tdim, tdim - 1)
+        ghosts = grid.comm.allreduce(topology.index_map(tdim).num_ghosts, op=MPI.SUM)
+        # a facet with one local cell inside the grid has its other cell on another rank
+        cut = int(np.count_nonzero(np.diff(to_cells.offsets) == 1)) - len(
+            exterior_facet_indices(topology)
+        )
+        cut = grid.comm.allreduce(cut, op=MPI.SUM)
+        if grid.comm.size > 1 and ghosts == 0 and cut > 0:
+            raise UnsupportedGridError(
+                "terms over interior facets need ghost cells in parallel; create the mesh with "
+                "ghost_mode=dolfinx.mesh.GhostMode.shared_facet, or one of gmsh or of a file "
+                f"with partitioner={ghosted_partitioner()}"
+            )
+        first, count = to_cells.offsets[:-1], np.diff(to_cells.offsets)
+        self._facet_cells = np.full((len(count), 2), -1, np.int32)
+        for k in (0, 1):
+            has = count > k
+            self._facet_cells[has, k] = to_cells.array[first[has] + k]
+        per_cell = int(of_cells.offsets[1]) if of_cells.num_nodes else 1
+        self._cell_facets = of_cells.array.reshape(-1, per_cell)
+
+    def select(self, active: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+        """The facets as rows (cell, local facet, cell, local facet) flattened. Collective.
+
+        Args:
+            active: Mask of the active local cells of DOLFINx's mesh.
+        """
+        cells = self._cells
+        boundary = np.zeros(cells.size, bool)
+        _mark_boundary(active, cells.owned, self._cell_facets, self._facet_cells, boundary)
+        return self._between(active, cells.share_flags(boundary)).ravel()
+
+    def select_coarse(self, active: npt.NDArray[np.bool_], basis: LatticeBasis) -> GhostRows:
+        """The facets of coarse cells, in parts, in the format of `select`. Collective.
+
+        Args:
+            active: Mask of the active cells of the basis.
+            basis: A basis on coarse cells.
+        """
+        of = basis.grid_cells
+        assert of is not None
+        boundary = _beside_inactive(active, basis)
+        rows = self._between(active[of], boundary[of])
+        return rows[of[rows[:, 0]] != of[rows[:, 2]]].ravel()
+
+    def _between(self, active, boundary) -> GhostRows:
+        """Facets between active cells, at least one of them a boundary cell, shape (facets, 4)."""
+        rows = np.empty((0, 4), np.int32)
+        for _ in range(2):  # first count, then fill
+            arguments = self._owned_facets, self._cell_facets, self._facet_cells
+            number = _select_facets(active, boundary, *arguments, rows)
+            if number <= len(rows):
+                break
+            rows = np.empty((number, 4), np.int32)
+        return rows
+
+
+def _beside_inactive(active: npt.NDArray[np.bool_], basis: LatticeBasis) -> npt.NDArray[np.bool_]:
+    """Mask of the active cells of a lattice with an inactive neighbour. Collective."""
+    halo, shape = basis.halo, np.array(basis.lattice.shape)
+    beside = np.zeros(active.size, bool)
+    own = np.flatnonzero(active[: basis.cells.owned])
+    for step in np.concatenate([np.eye(shape.size, dtype=int), -np.eye(shape.size, dtype=int)]):
+        ijk = halo.cell_ijk[own] + step
+        inside = np.all((ijk >= 0) & (ijk < shape), axis=1)
+        neighbour = halo.cell_table[tuple((ijk[inside] - halo.origin).T)]
+        beside[own[inside]] |= ~active[neighbour]
+    return basis.cells.share_flags(beside)
+
+
+@once_per_grid
+def ghost_facets(grid: Mesh) -> GhostFacets:
+    """The facet tables of a grid, built once. Collective."""
+    return GhostFacets(grid)
+
+
+def entities(
+    grid: Mesh, moving: set[int], seen: Stencils, basis: LatticeBasis | LinearBasis
+) -> dict[int, npt.NDArray[np.int32]]:
+    """Ghost facets and active cells of a field for integrals, by subdomain id. Collective.
+
+    Args:
+        grid: The grid.
+        moving: Subdomain ids that occur in the terms.
+        seen: Stencils of the points on all active nodes.
+        basis: The basis of the field.
+    """
+    found: dict[int, npt.NDArray[np.int32]] = {}
+    if not moving:
+        return found
+    cells = active_cells(seen, basis.cells)
+    tables = ghost_facets(grid) if GHOST_FACETS in moving else None
+    if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
+        found[GHOST_FACETS] = tables.select_coarse(cells, basis)
+    if basis.grid_cells is not None:
+        cells = cells[basis.grid_cells]
+    if tables is not None and GHOST_FACETS not in found:
+        found[GHOST_FACETS] = tables.select(cells)
+    if ACTIVE_CELLS in moving:
+        owned = np.flatnonzero(cells[: grid.topology.index_map(grid.topology.dim).size_local])
+        found[ACTIVE_CELLS] = owned.astype(np.int32)
+    return found

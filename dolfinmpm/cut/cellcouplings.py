@@ -1,0 +1,274 @@
+"""Couplings by averages over cells: the nodes of all points with a share in a cell.
+
+Terms that depend on the averages of `dolfinmpm.cut.cellaverages` couple all nodes of points with a
+share in the same cell. The tangent gains Σ_c b_c g_cᵀ / W_c. Here b_c is the derivative of the
+forces by the average of cell c, summed over the points in the cell, and g_c is the derivative of
+W_c M_c by the nodal increments.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm.basis import Stencils
+from dolfinmpm.basis.stencils import running_sum
+from dolfinmpm.cut.cellaverages import CellAverages
+from dolfinmpm.cut.pattern import Pattern
+from dolfinmpm.cut.unknowns import FieldUnknowns
+
+__all__ = ["CellCouplings", "add_outer"]
+
+Array = npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cell_nodes(
+    node_start, nodes, group_of, first, of_cell, seen, place, start, out, entry_start, entry
+):
+    """Nodes of the points in every cell, in increasing order; only counts if `out` is empty.
+
+    For each pair of group and cell, `entry` has the positions of the group's nodes in `out`.
+    """
+    total = 0
+    for c in range(first.size - 1):
+        for k in range(first[c], first[c + 1]):
+            g = group_of[of_cell[k]]
+            for b in range(node_start[g], node_start[g + 1]):
+                if seen[nodes[b]] != c:
+                    seen[nodes[b]] = c
+                    if out.size:
+                        out[total] = nodes[b]
+                    total += 1
+        start[c + 1] = total
+        if out.size:
+            out[start[c] : total].sort()
+            for b in range(start[c], total):
+                place[out[b]] = b
+            for k in range(first[c], first[c + 1]):
+                pair = of_cell[k]
+                g = group_of[pair]
+                for b in range(node_start[g + 1] - node_start[g]):
+                    entry[entry_start[pair] + b] = place[nodes[node_start[g] + b]]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_forces(
+    begin, end, groups, node_start, value_start, N, dN, cell_start, share_start, shares,
+    entry_start, entry, flux, column, out,
+):  # fmt: skip
+    components, gdim = out.shape[1], dN.shape[1]
+    for g in range(begin, end):
+        m = node_start[g + 1] - node_start[g]
+        number = cell_start[g + 1] - cell_start[g]
+        for position in range(groups[g], groups[g + 1]):
+            p = position - groups[begin]
+            at = value_start[g] + (position - groups[g]) * m
+            share = share_start[g] + (position - groups[g]) * number
+            for a in range(m):
+                for i in range(components):
+                    q = column + i * (1 + gdim)
+                    f = N[at + a] * flux[p, q]
+                    for j in range(gdim):
+                        f += dN[at + a, j] * flux[p, q + 1 + j]
+                    for k in range(number):
+                        out[entry[entry_start[cell_start[g] + k] + a], i] += shares[share + k] * f
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_outer(
+    row_start, row_nodes, start, nodes, volume, left, right, row_of, column_of, indptr, indices,
+    data, prescribed, lift,
+):  # fmt: skip
+    for c in range(start.size - 1):
+        if volume[c] == 0.0:
+            # only domains of points that do not count reach into the cell
+            continue
+        # nodes and columns both increase: one walk along each row of the matrix
+        for a in range(row_start[c], row_start[c + 1]):
+            for i in range(left.shape[1]):
+                row = row_of[row_nodes[a], i]
+                if row < 0:
+                    continue
+                f = left[a, i] / volume[c]
+                at = indptr[row]
+                for b in range(start[c], start[c + 1]):
+                    for k in range(right.shape[1]):
+                        column = column_of[nodes[b], k]
+                        if column >= 0:
+                            while indices[at] != column:
+                                at += 1
+                            data[at] += f * right[b, k]
+                        else:
+                            lift[row_nodes[a], i] += f * right[b, k] * prescribed[nodes[b], k]
+
+
+class CellCouplings:
+    """The nodes of one field that the cells couple. Collective.
+
+    All nodes of points with a share in the same cell are coupled. A cell at a rank border has
+    points of several ranks. Their contributions go to the rank that owns the cell, and this rank
+    adds the products to the matrix.
+
+    Args:
+        means: Averages over the cells.
+        stencils: Stencils on the solver's nodes.
+        numbering: Numbering of the nodes.
+        nodes: The solver's active nodes known on this rank.
+
+    Attributes:
+        means: The averages.
+        complete: Whether every rank knows all nodes of its cells. Otherwise the couplings cannot
+            be used.
+    """
+
+    def __init__(self, means: CellAverages, stencils: Stencils, numbering, nodes):
+        self.means = means
+        self._stencils = s = stencils
+        cells, of = means.shares.cells, means.shares.of
+        pairs = np.diff(means.shares.cell_start)
+        group_of = np.repeat(np.arange(pairs.size), pairs)
+        first = running_sum(np.bincount(of, minlength=cells.size), np.int64)
+        of_cell = np.argsort(of, kind="stable")
+        self._start = np.zeros(cells.size + 1, np.int64)
+        self._entry_start = running_sum(np.diff(s.node_start)[group_of], np.int64)
+        self._entry = np.empty(self._entry_start[-1], np.int64)
+        place = np.empty(numbering.size, np.int64)
+        out = np.empty(0, np.int32)
+        for _ in range(2):  # first count, then fill
+            _cell_nodes(
+                s.node_start, s.nodes, group_of, first, of_cell, np.full(numbering.size, -1), place,
+                self._start, out, self._entry_start, self._entry,
+            )  # fmt: skip
+            if out.size == self._start[-1]:
+                break
+            out = np.empty(self._start[-1], np.int32)
+        self._nodes = out
+        # if every cell has one group, the stencils contain all couplings
+        self._simple = not means.exchanges and bool(np.all(np.diff(first) <= 1))
+        self.complete = True
+        self._exchange: _Exchange | None = None
+        if means.exchanges:
+            self._exchange = _Exchange(cells, numbering, nodes, self._start, self._nodes)
+            self.complete = self._exchange.complete
+
+    def lists(self) -> tuple[npt.NDArray, npt.NDArray] | None:
+        """Lists of coupled nodes, or None if the stencils contain all couplings."""
+        return None if self._simple else self.merged()
+
+    def merged(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """Start and nodes of the cells that this rank adds to the matrix."""
+        return (self._start, self._nodes) if self._exchange is None else self._exchange.lists
+
+    def forces(self, components: int) -> Array:
+        """Zeros, for every cell and each of its nodes, shape (entries, components)."""
+        return np.zeros((self._nodes.size, components))
+
+    def add_forces(self, first: int, last: int, flux: Array, column: int, out: Array) -> None:
+        """Add Σ_p s_pc (N_a f_p + ∇N_a · q_p) over the points of some groups.
+
+        Args:
+            first: The first of the groups.
+            last: The group behind the last.
+            flux: f and q of every component, as `add_vector` takes them.
+            column: First column of the field in the flux.
+            out: Forces by cell and node, see `forces`.
+        """
+        s, shares = self._stencils, self.means.shares
+        _add_forces(
+            first, last, s.groups, s.node_start, s.value_start, s.N, s.dN, shares.cell_start,
+            shares.start, shares.values, self._entry_start, self._entry, flux, column, out,
+        )  # fmt: skip
+
+    def summed(self, values: Array) -> Array:
+        """Sums over all ranks by cell and node, on the entries of `merged`. Collective."""
+        return values if self._exchange is None else self._exchange.merge(values)
+
+
+def add_outer(
+    rows: CellCouplings,
+    columns: CellCouplings,
+    left: Array,
+    right: Array,
+    unknowns: tuple[FieldUnknowns, FieldUnknowns],
+    pattern: Pattern,
+    data: Array,
+    prescribed: Array,
+    lift: Array,
+) -> None:
+    """Add Σ_c b_c g_cᵀ / W_c to the matrix. Collective.
+
+    Args:
+        rows, columns: Couplings of the row and the column field.
+        left, right: b and g by cell and node, see `CellCouplings.forces`.
+        unknowns: Unknowns of the two fields.
+        pattern: Where the matrix has entries.
+        data: The matrix's entries.
+        prescribed: Values of the column field's prescribed components, (nodes, components).
+        lift: The matrix's columns of prescribed unknowns, times their values; (nodes,
+            components) of the row field.
+    """
+    _add_outer(
+        *rows.merged(), *columns.merged(), rows.means.volume, rows.summed(left),
+        columns.summed(right), unknowns[0].row_of, unknowns[1].row_of, pattern.indptr,
+        pattern.indices, data, prescribed, lift,
+    )  # fmt: skip
+
+
+class _Exchange:
+    """Exchange of values by cell and node with the ranks that own the cells. Collective.
+
+    Args:
+        cells, numbering: Numberings of cells and nodes.
+        active: The solver's active nodes known on this rank.
+        start, nodes: Nodes of every local cell.
+
+    Attributes:
+        complete: Whether all ranks know all nodes that they received.
+        lists: Start and nodes of the owned cells, with received nodes.
+    """
+
+    def __init__(self, cells, numbering, active, start, nodes):
+        self._comm = comm = cells.comm
+        self._cell_of = cell_of = np.repeat(np.arange(cells.size), np.diff(start))
+        own = cell_of < cells.owned
+        owner = cells.index_map.owners[cell_of[~own] - cells.owned]
+        ranked = np.argsort(owner, kind="stable")
+        self._send = np.flatnonzero(~own)[ranked]
+        self._own = np.flatnonzero(own)
+        self._counts = np.bincount(owner, minlength=comm.size)
+        self._arriving = np.empty_like(self._counts)
+        comm.Alltoall(self._counts, self._arriving)
+        to_global = numbering.index_map.local_to_global(nodes[self._send])
+        cell_global = cells.index_map.local_to_global(cell_of[self._send].astype(np.int32))
+        came = self._swap(np.column_stack([cell_global, to_global]).astype(np.int64))
+        cell = came[:, 0] - cells.index_map.local_range[0]
+        node = numbering.index_map.global_to_local(np.ascontiguousarray(came[:, 1]))
+        usable = np.zeros(numbering.size, bool)
+        usable[active] = True
+        known = bool(np.all(node >= 0)) and bool(np.all(usable[node]))
+        self.complete = comm.allreduce(known, op=MPI.LAND)
+        if not self.complete:
+            return
+        keys = np.concatenate([cell_of[own], cell]) * numbering.size
+        keys += np.concatenate([nodes[own], node])
+        merged, self._to = np.unique(keys, return_inverse=True)
+        counts = np.bincount(merged // numbering.size, minlength=cells.owned)
+        self.lists = running_sum(counts, np.int64), (merged % numbering.size).astype(np.int32)
+
+    def _swap(self, rows):
+        """Send rows to other ranks, and return the received rows."""
+        width = rows.shape[1]
+        came = np.empty((self._arriving.sum(), width), rows.dtype)
+        send = [np.ascontiguousarray(rows), self._counts * width]
+        self._comm.Alltoallv(send, [came, self._arriving * width])
+        return came
+
+    def merge(self, values: Array) -> Array:
+        """Sums over ranks, on the entries of `lists`. Collective."""
+        every = np.concatenate([values[self._own], self._swap(values[self._send])])
+        out = np.zeros((self.lists[1].size, values.shape[1]))
+        np.add.at(out, self._to, every)
+        return out

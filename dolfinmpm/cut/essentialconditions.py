@@ -1,0 +1,172 @@
+"""Essential conditions: the components of nodes that are prescribed, per field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.la import InsertMode
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import ConflictingConditionsError, raise_together
+from dolfinmpm.basis import LatticeBasis, LinearBasis
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.space import Space
+
+__all__ = ["EssentialConditions", "renumbered"]
+
+Basis = LatticeBasis | LinearBasis
+Flags = npt.NDArray[np.bool_]
+Array = npt.NDArray[np.float64]
+
+# Number of bases, with overlap and partition, whose flags are kept
+_KEPT = 8
+
+
+def renumbered(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArray[Any]:
+    """Nodal values in the numbering of a basis with another overlap or partition. Collective.
+
+    Args:
+        values: Values at the nodes of `base`, shape (nodes, n) or (nodes,). Values of nodes that
+            other ranks own do not count.
+        base: The basis of the space.
+        basis: The same basis with another overlap and partition.
+
+    Returns:
+        Values at all nodes of `basis` known on this rank.
+    """
+    shape = basis.nodes.size, *values.shape[1:]
+    own, result = base.nodes.owned, np.zeros(shape, values.dtype)
+    at = slice(own) if basis.grid_nodes is None else basis.grid_nodes[:own]
+    if basis.nodes.comm.size == 1:
+        result[at] = values[:own]
+        return result
+    width = int(np.prod(shape[1:], dtype=int))
+    shared = basis.nodes.vector(width)
+    shared.array[:] = 0.0
+    shared.array.reshape(len(result), width)[at] = values[:own].reshape(own, width)
+    if basis.grid_nodes is not None:
+        shared.scatter_reverse(InsertMode.add)
+    shared.scatter_forward()
+    result[...] = shared.array.reshape(shape)
+    return result
+
+
+class EssentialConditions:
+    """The conditions of a problem, for any numbering of the nodes. Collective.
+
+    Args:
+        conditions: The conditions.
+        spaces: Spaces of the fields.
+
+    Attributes:
+        conditions: The conditions.
+        changing: Whether prescribed values may differ from zero in some step.
+
+    Raises:
+        ConflictingConditionsError: Two conditions prescribe different values of a component.
+    """
+
+    def __init__(self, conditions: Sequence[Condition], spaces: Sequence[Space]):
+        self.conditions = list(conditions)
+        self._spaces = list(spaces)
+        comm = spaces[0].grid.comm
+        changing = any(condition.changes for condition in conditions)
+        self.changing: bool = comm.allreduce(changing, op=MPI.LOR)
+        self._fixed: dict[tuple[Basis, ...], list[Flags]] = {}
+        self._still: dict[tuple[Basis, ...], list[Array]] = {}
+        self.at([space.basis for space in spaces], 1.0)
+
+    @property
+    def follows(self) -> bool:
+        """Whether some condition's nodes may change."""
+        return any(condition.place is not None for condition in self.conditions)
+
+    def follow(self) -> None:
+        """Move conditions to the present positions of their places. Collective."""
+        now = [condition.now() for condition in self.conditions]
+        if any(a is not b for a, b in zip(now, self.conditions)):
+            self.conditions[:] = now
+            self._fixed.clear()
+            self._still.clear()
+
+    def state(self) -> dict[str, Any]:
+        """Values of the constants that conditions prescribe."""
+        return {f"{k}": np.array(value.value) for k, value in enumerate(self._constants)}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Restore a state returned by `state`."""
+        for k, value in enumerate(self._constants):
+            value.value = values[f"{k}"]
+
+    @property
+    def _constants(self) -> list[fem.Constant]:
+        return [c.value for c in self.conditions if isinstance(c.value, fem.Constant)]
+
+    @property
+    def driven(self) -> bool:
+        """Whether increments other than zero are prescribed now. Collective."""
+        moved = any(np.any(condition.values != 0.0) for condition in self.conditions)
+        return self._spaces[0].grid.comm.allreduce(moved, op=MPI.LOR)
+
+    def at(self, bases: Sequence[Basis], share: float) -> tuple[list[Flags], list[Array]]:
+        """Masks of the prescribed components, and their values. Collective.
+
+        Args:
+            bases: Basis of each field, with the overlap of the step.
+            share: Share of the step's increments.
+
+        Returns:
+            Masks and values per field, each of shape (nodes, components). The masks are the same
+            arrays as long as the bases are the same objects.
+        """
+        key = tuple(bases)
+        if key in self._fixed and not self.changing:
+            return self._fixed[key], self._still[key]
+        fixed, values = [], []
+        error: Exception | None = None
+        for space, basis in zip(self._spaces, bases):
+            shape = (space.basis.nodes.size, space.components)
+            flags, numbers = np.zeros(shape, bool), np.zeros(shape)
+            error = self._apply(space, share, flags, numbers) or error
+            fixed.append(renumbered(flags, space.basis, basis))
+            values.append(renumbered(numbers, space.basis, basis))
+        raise_together(self._spaces[0].grid.comm, error)
+        while len(self._fixed) > _KEPT:
+            del self._fixed[next(iter(self._fixed))]
+        # values may change from step to step, the masks do not
+        fixed = self._fixed.setdefault(key, fixed)
+        if not self.changing:
+            self._still = {key: values for key, values in self._still.items() if key in self._fixed}
+            self._still[key] = values
+        return fixed, values
+
+    def _apply(self, space: Space, share: float, flags, values) -> Exception | None:
+        """Set masks and values at the own nodes of this rank; returns a contradiction or None."""
+        basis = space.basis
+        owner = np.full(flags.shape, -1, np.int32)
+        error = None
+        for number, condition in enumerate(self.conditions):
+            if condition.space is not space:
+                continue
+            column, own = condition.component, condition.nodes < basis.nodes.owned
+            nodes = condition.nodes[own]
+            part = 1.0 if condition.kind == "value" else share
+            value = np.broadcast_to(part * condition.values, condition.nodes.shape)[own]
+            differs = flags[nodes, column] & (values[nodes, column] != value)
+            clash = nodes[differs]
+            if clash.size and error is None:
+                x = basis.node_coordinates()[clash[0], : space.grid.geometry.dim]
+                other = self.conditions[owner[clash[0], column]]
+                error = ConflictingConditionsError(
+                    f"component {column} of the node at {x} m is prescribed as "
+                    f"{values[clash[0], column]} by '{other.where}' and as {value[differs][0]} by "
+                    f"'{condition.where}'; keep one of them"
+                )
+            flags[nodes, column] = True
+            values[nodes, column] = value
+            owner[nodes, column] = number
+        return error

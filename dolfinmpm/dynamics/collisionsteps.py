@@ -1,0 +1,344 @@
+"""Explicit steps of colliding bodies. Each body has its own velocities at the nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform import stages
+from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
+from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.bspline import integrals
+from dolfinmpm.basis.stencils import Stencils, selected
+from dolfinmpm.body.loadbalance import balance
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, NodalContact
+from dolfinmpm.dynamics.energies import stress_volumes
+from dolfinmpm.dynamics.explicitbase import ExplicitBase
+from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.fusable import FusedLoads
+from dolfinmpm.dynamics.halfstep import lateness, mapping_loss
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
+from dolfinmpm.solve.method import only_momentum
+from dolfinmpm.solve.newstate import commit, new_state
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.step import Step
+
+__all__ = ["CollisionSteps", "collision_error"]
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.bool_]
+
+# Passes by mapped velocities per step; with 5 passes, coarse bodies gain up to 12 % of their energy
+_PASSES = 20
+
+
+def collision_error(problem: Problem, mass: str, settings: Settings) -> Exception | None:
+    """The error about a problem that `Collision` does not support, or None."""
+    field, parts = problem.fields[0], problem.form.parts
+    if not isinstance(field.space.basis, LatticeBasis):
+        return ParameterError("Collision asks for room at the nodes; take a rectangular grid")
+    if problem.points.axisymmetric:
+        return ParameterError("Collision is of plane and 3D bodies, and these are axisymmetric")
+    if mass != "lumped" or settings.mapping.kind not in ("flip", "pic"):
+        return ParameterError(
+            f'mass = "{mass}" and mapping = "{settings.mapping.kind}" do not go with Collision: '
+            'give mass="lumped" and mapping="flip" or "pic"'
+        )
+    if settings.scheme == "usf" or not settings.plain or field.constrains_nodes or field.prolongate:
+        return ParameterError(
+            'Collision goes with scheme="musl" or "usl", without bulk viscosity, filters of light '
+            "nodes, or stabilisations that tie nodes"
+        )
+    if problem.bodies.contacts or any(d.fbar for d in parts.declarations):
+        return FormError("Collision goes neither with rigid bodies nor with F-bar; leave these out")
+    if problem.form.boundaries:
+        return FormError(
+            f"the form has terms over {problem.form.boundaries[0].boundary}, and Collision has "
+            "no single field of velocities there; leave out these terms or collision"
+        )
+    if not only_momentum(problem.form):
+        return FormError(
+            "Collision goes with no internal forces but those of mpm.momentum; leave others out"
+        )
+    if not FusedLoads(problem.form).known or any(one is not None for one in parts.grid.external):
+        return FormError(
+            "Collision needs loads on the points, of their fields and constants alone, such as "
+            "F -= ufl.inner(points.density * g, v) * points.dX"
+        )
+    return None
+
+
+class CollisionSteps(ExplicitBase):
+    """Explicit steps of a problem with colliding bodies, one after the other.
+
+    Args:
+        problem, settings, sides: See `ExplicitBase`.
+        collision: The bodies, and their friction.
+
+    Attributes:
+        force: Mean force of the other bodies on the first body in the last step (N), shape (d,).
+    """
+
+    def __init__(self, problem: Problem, settings: Settings, sides: Sides, collision: Collision):
+        super().__init__(problem, settings, sides, "bodies collide")
+        self._collision, self._loads = collision, FusedLoads(problem.form)
+        self.force: Array = np.zeros(problem.points.gdim)
+
+    @stages.commit
+    def _take(self, step: Step, kick: float) -> int | str:
+        """Take one step; see `ExplicitBase`. Collective."""
+        problem, settings = self._problem, self._settings
+        points, dt = problem.points, step.dt
+        raise_together(points.comm, points.fault())
+        balance(points)
+        here = problem.activate(step)
+        self._loads.evaluate()
+        rows = self._collision.bodies(points["tag"])
+        raise_together(points.comm, self._strays(rows))
+        stencils = [selected(here.fields[0].stencils, own) for own in rows]
+        held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
+        bodies = [self._at_nodes(s, here) for s in stencils]
+        before = self._velocities(stencils, bodies, here, held, points["velocity"])
+        after = [
+            self._accelerated(s, b, V, here, kick) for s, b, V in zip(stencils, bodies, before)
+        ]
+        self._absorb(bodies, after, here, kick)
+        external = self._hold(bodies, after, here, held)
+        touching = self._touching(bodies, here)
+        touching.exchange(after)
+        external += self._hold(bodies, after, here, held)
+        new = self._points(stencils, rows, before, after, kick)
+        strains = after
+        if settings.scheme == "musl":
+            strains = self._velocities(stencils, bodies, here, held, new["velocity"])
+            if points.comm.allreduce(touching.nodes.any(), op=MPI.LOR):
+                self._exchange_mapped(touching, stencils, bodies, here, after, strains)
+                external += self._hold(bodies, after, here, held)
+                new = self._points(stencils, rows, before, after, kick)
+                strains = self._velocities(stencils, bodies, here, held, new["velocity"])
+        operator = Operator(problem.form, here)
+        self._place(operator, rows, [dt * V for V in strains])
+        moved = points["x"] + operator.points.value[0]
+        state = new_state(problem, operator, x=moved)
+        if isinstance(state, str):
+            return state
+        external = points.comm.allreduce(external, op=MPI.SUM) + self._load_work(moved)
+        self._work.external += external
+        self._work.add_stresses(points, state.fields, operator)
+        state.fields.update(new)
+        received = touching.received[here.unknowns.fields[0].owned_nodes].sum(axis=0)
+        change, m = kick * new["acceleration"], settings.scaling * point_masses(points)
+        filtered = settings.scheme == "musl"
+        own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
+        self._work.projected += points.comm.allreduce(own, op=MPI.SUM)
+        self._work.late = lateness(external, self._work.latest, 0.0, False)
+        self.force = points.comm.allreduce(received, op=MPI.SUM) / kick
+        return commit(points, state)
+
+    def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
+        """The error about points that belong to no body, or None."""
+        tags = self._problem.points["tag"]
+        stray = np.flatnonzero(~np.any(rows, axis=0)) if len(tags) else np.empty(0, np.intp)
+        if not stray.size:
+            return None
+        return ParameterError(
+            f"{stray.size} points, such as those of tag {tags[stray[0]]}, belong to no body of "
+            f"Collision(tags={tuple(self._collision.tags)}): name all tags"
+        )
+
+    def _summed(self, here: Activation, components: int, add: Callable[[Array], None]) -> Array:
+        """Sums at the nodes, on all ranks with the nodes, shape (nodes, components). Collective.
+
+        Args:
+            here: The activation.
+            components: Number of components.
+            add: Function that adds this rank's part.
+        """
+        sums = Nodal([here.fields[0].basis.nodes], [components])
+        add(sums.arrays[0])
+        sums.add_up()
+        sums.spread()
+        return sums.arrays[0].copy()
+
+    @stages.assemble
+    def _at_nodes(self, s: Stencils, here: Activation) -> BodyAtNodes:
+        """Mass, volume and normal of a body. Collective."""
+        points, d = self._problem.points, self._problem.points.gdim
+        m = point_masses(points)
+        both = np.column_stack([m, points["V"]])
+        sums = self._summed(here, 2, lambda out: scatter(s, np.ones(len(m)), both, out))
+        weights = m[:, None, None] * np.eye(d)
+        slope = self._summed(here, d, lambda out: scatter_stress(s, weights, out))
+        return BodyAtNodes(self._settings.scaling * sums[:, 0], sums[:, 1], slope)
+
+    def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> NodalContact:
+        """The nodes at which bodies touch."""
+        basis, room = here.fields[0].basis, None
+        if self._collision.gap_test:
+            assert isinstance(basis, LatticeBasis)
+            room = np.ones(basis.nodes.size)
+            for k, line in enumerate(basis.lattice.lines):
+                room *= integrals(line, basis.degree)[basis.halo.node_ijk[:, k]]
+        return NodalContact(bodies, room, self._collision.friction)
+
+    @stages.assemble
+    def _exchange_mapped(
+        self,
+        touching: NodalContact,
+        stencils: Sequence[Stencils],
+        bodies: Sequence[BodyAtNodes],
+        here: Activation,
+        after: Sequence[Array],
+        mapped: Sequence[Array],
+    ) -> None:
+        """Exchange momentum until mapped velocities of bodies do not approach. Collective.
+
+        Args:
+            touching: Nodes at which bodies touch, and the momentum exchanged so far.
+            stencils, bodies: Stencils and nodal sums of each body.
+            here: The activation.
+            after: Velocities at the end of the step (m/s), shape (nodes, d) per body; changed.
+            mapped: Velocities mapped from the points (m/s), shape (nodes, d) per body; changed.
+        """
+        points, fixed = self._problem.points, here.unknowns.fields[0].fixed
+        m = self._settings.scaling * point_masses(points)
+        at = touching.nodes[:, None].astype(np.float64)
+        near = [selected(s, collect(s, at, len(points))[:, 0] > 0.0) for s in stencils]
+        for k in range(_PASSES):
+            ahead = k / (k + 3.0) if k < _PASSES - 1 else 0.0
+            changes = touching.exchange([V.copy() for V in mapped], ahead)
+            for s, body, V, V_mapped, change in zip(near, bodies, after, mapped, changes):
+                V += change
+                change[fixed] = 0.0
+                v = collect(s, change, len(points))
+                p = self._summed(here, v.shape[1], partial(scatter, s, m, v))
+                p[fixed] = 0.0
+                V_mapped += p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
+
+    def _hold(
+        self,
+        bodies: Sequence[BodyAtNodes],
+        velocities: Sequence[Array],
+        here: Activation,
+        held: Array,
+    ) -> float:
+        """Set velocities of prescribed components, and apply friction at sides of the grid.
+
+        Returns:
+            Work of the prescribed motions at nodes of this rank (J).
+        """  # fmt: skip
+        faces, unknowns = self._sides.on(here.fields[0].basis), here.unknowns.fields[0]
+        fixed, moving = unknowns.fixed, np.zeros_like(unknowns.fixed)
+        if here.driven:
+            own = unknowns.owned_nodes
+            moving[own] = fixed[own] & (held[own] != 0.0)
+        work = 0.0
+        for body, V in zip(bodies, velocities):
+            if faces is not None:
+                faces.rub(V)
+            m = np.broadcast_to(body.mass[:, None], V.shape)[moving]
+            work += float(np.sum(m * (held[moving] - V[moving]) * held[moving]))
+            V[fixed] = held[fixed]
+        return work
+
+    def _absorb(
+        self,
+        bodies: Sequence[BodyAtNodes],
+        velocities: Sequence[Array],
+        here: Activation,
+        dt: float,
+    ) -> None:
+        """Apply dashpots. Bodies at one node share a dashpot in proportion to their masses."""
+        faces = self._sides.on(here.fields[0].basis)
+        if faces is None or faces.dashpots is None:
+            return
+        m = sum(body.mass for body in bodies)
+        slower = 1.0 + dt * faces.dashpots / np.where(m > 0.0, m, np.inf)[:, None]
+        for V in velocities:
+            V /= slower
+
+    @stages.assemble
+    def _velocities(
+        self,
+        stencils: Sequence[Stencils],
+        bodies: Sequence[BodyAtNodes],
+        here: Activation,
+        held: Array,
+        v: Array,
+    ) -> list[Array]:
+        """Nodal velocities of each body from the velocities of its points (m/s). Collective."""
+        m = self._settings.scaling * point_masses(self._problem.points)
+        found = []
+        for s, body in zip(stencils, bodies):
+            p = self._summed(here, v.shape[1], partial(scatter, s, m, v))
+            found.append(p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None])
+        self._hold(bodies, found, here, held)
+        return found
+
+    @stages.assemble
+    def _accelerated(
+        self, s: Stencils, body: BodyAtNodes, V: Array, here: Activation, dt: float
+    ) -> Array:
+        """Nodal velocities of a body after a step without conditions or contact. Collective."""
+        points, loads = self._problem.points, self._loads
+        weight = stress_volumes(points, self._problem.form.parts.declarations, points["V"])
+
+        def add(out: Array) -> None:
+            scatter_tensor(points, s, -weight[:, None, None] * points["stress"], out)
+            if loads.uniform:
+                given = np.broadcast_to(loads.gravity, (len(points), points.gdim))
+                scatter(s, point_masses(points), given, out)
+            else:
+                scatter(s, np.ones(len(points)), loads.body, out)
+
+        f = self._summed(here, points.gdim, add)
+        damping = self._settings.damping
+        if damping:
+            f -= damping * np.abs(f) * np.sign(V)
+        return V + dt * f / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
+
+    def _points(
+        self,
+        stencils: Sequence[Stencils],
+        rows: Sequence[Rows],
+        before: Sequence[Array],
+        after: Sequence[Array],
+        kick: float,
+    ) -> dict[str, Array]:
+        """New velocities and accelerations of the points."""
+        points, mapping = self._problem.points, self._settings.mapping
+        share = mapping.share if mapping.kind == "flip" else 0.0
+        v, a = points["velocity"].copy(), np.zeros_like(points["x"])
+        for s, own, V, V_end in zip(stencils, rows, before, after):
+            change, there = (collect(s, values, len(points))[own] for values in (V_end - V, V_end))
+            v[own] = share * (v[own] + change) + (1.0 - share) * there
+            a[own] = change / kick
+        return {"velocity": v, "acceleration": a}
+
+    @staticmethod
+    def _place(operator: Operator, rows: Sequence[Rows], increments: Sequence[Array]) -> None:
+        """Evaluate the increments of its own body at each point."""
+        value, gradient = operator.points.value[0], operator.points.gradient[0]
+        found = np.zeros_like(value), np.zeros_like(gradient)
+        for own, u in zip(rows, increments):
+            operator.set_increments([u])
+            found[0][own], found[1][own] = value[own], gradient[own]
+        value[:], gradient[:] = found
+
+    def _load_work(self, moved: Array) -> float:
+        """Work of the loads in a step (J). Collective."""
+        points, loads = self._problem.points, self._loads
+        way = moved - points["x"]
+        f = loads.body
+        if loads.uniform:
+            f = point_masses(points)[:, None] * loads.gravity
+        return points.comm.allreduce(float(np.sum(f * way)), op=MPI.SUM)

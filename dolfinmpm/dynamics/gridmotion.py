@@ -1,0 +1,298 @@
+"""Motion of the grid's nodes in implicit steps in time: from the points, and back to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform import stages
+from dolfinmpm.assembly.term import NewState
+from dolfinmpm.basis.stencils import gather
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
+from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.inertiaterm import Dashpots
+from dolfinmpm.dynamics.ledger import Ledger, Work
+from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
+from dolfinmpm.dynamics.mass import MassTerms, point_masses
+from dolfinmpm.dynamics.newmarkrule import NewmarkRule
+from dolfinmpm.dynamics.nodalmass import Mass
+from dolfinmpm.dynamics.stepwork import (
+    MovingNodes,
+    add_work_of_nodes,
+    mean_contact_forces,
+    work_of_contact,
+    work_of_loads,
+)
+from dolfinmpm.dynamics.transfer import collect, scatter
+from dolfinmpm.forms.declarations import rows_within
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.weakform import WeakForm
+
+__all__ = ["GridMotion"]
+
+Array = npt.NDArray[np.float64]
+
+
+class GridMotion:
+    """Motion of the nodes in the present step, and its transfer from and to the points.
+
+    Args:
+        points: Material points.
+        rule: The rule of the steps.
+        mapping: The velocity mapping.
+        terms: The terms of the mass.
+        sides: Faces of the grid that act on the body.
+        ledger: The account of energies; steps add to its sums.
+
+    Attributes:
+        rule, mapping, terms, ledger: The arguments.
+        penalty_energy: Energy taken by penalties on changes of velocity.
+        nodes: Nodes of each field that moves points, at the start of the last step.
+        varying: Whether any load changes in the present step.
+    """
+
+    nodes: list[MovingNodes]
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        rule: NewmarkRule,
+        mapping: Mapping,
+        terms: MassTerms,
+        sides: Sides,
+        ledger: Ledger,
+    ):
+        self.rule, self.mapping, self.terms = rule, mapping, terms
+        self._points, self._sides, self.varying = points, sides, False
+        self.ledger, self.penalty_energy, self._gain = ledger, PenaltyEnergy(), EnergyGain()
+        # whether the accelerations at the start of the next step follow from M a = f
+        self._starting = True
+
+    def begin(self, jumped: bool, varying: bool) -> None:
+        """Begin a step.
+
+        Args:
+            jumped: Whether a load jumps at the start of the step.
+            varying: Whether any load changes in the step.
+        """
+        self.varying = varying
+        self._starting |= jumped
+
+    def regrid(self) -> None:
+        """Discard data that depend on the old grid lines; see `regrid`."""
+        self._sides.regrid()
+
+    @stages.assemble
+    def to_grid(self, here: Activation, form: WeakForm, dt: float, rates: Sequence[Array]) -> None:
+        """Velocities and accelerations of the nodes at the start of a step. Collective.
+
+        Args:
+            here: The activation.
+            form: The weak form, for M a = f.
+            dt: Length of the step (s).
+            rates: Velocities of prescribed components (m/s), shape (nodes, d) per field.
+        """
+        start = None
+        if self._starting or self.rule.by_forces:
+            plain = Operator(form, here)
+            plain.move_to_start()
+            start = plain.forces(without=("contact",))
+        self.nodes = [
+            self._on_nodes(here, k, rates[k], None if start is None else start[k])
+            for k in here.movers
+        ]
+        if here.blocks_of("changes"):
+            moving = [(one.k, one.mass, one.V) for one in self.nodes]
+            self.penalty_energy.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
+
+    @property
+    def _ghost_share(self) -> float:
+        """Share of the forces at the level of balance in a step's mean forces.
+
+        It is γ if accelerations at the start of a step follow from forces.
+        """
+        return self.rule.gamma if self.rule.by_forces else 1.0
+
+    def _on_nodes(self, here: Activation, k: int, rates: Array, start: Array | None) -> MovingNodes:
+        """Motion of the nodes of one field at the start of a step. Collective.
+
+        Args:
+            here: The activation.
+            k: Number of the field.
+            rates: Velocities of prescribed components (m/s), shape (nodes, d).
+            start: Out-of-balance force (N), shape (nodes, d), if accelerations follow from forces;
+                else None.
+        """
+        points, field = self._points, here.fields[k]
+        mass = Mass(self.terms, here, k=k)
+        momenta = mass.nodal()
+        x_node = field.basis.node_coordinates()
+        self.mapping.to_grid(points, field.stencils, x_node, momenta)
+        given = momenta.arrays[0].copy()
+        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
+        V = mass.velocities(momenta, rates, fastest).arrays[0]
+        forces = mass.nodal()
+        if start is not None:
+            forces.arrays[0][:] = -start
+            faces = self._sides.on(field.basis)
+            if faces is not None and faces.dashpots is not None:
+                forces.arrays[0][:] -= faces.dashpots * V
+        else:
+            m = point_masses(points)
+            scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
+            forces.add_up()
+        A = mass.solve(forces, np.zeros_like(V)).arrays[0]
+        return MovingNodes(k, field.space.tags, mass, given, V, A)
+
+    def dashpots(self, here: Activation, dt: float) -> Dashpots | None:
+        """Dashpots of absorbing faces at the level of balance, or None. Collective."""
+        faces = self._sides.on(here.fields[0].basis)
+        if faces is None or faces.dashpots is None:
+            return None
+        rule, d, c = self.rule, self._points.gdim, faces.dashpots
+        level, one = 1.0 - rule.alpha_f, self.nodes[0]
+        rest = rule.acceleration(np.zeros_like(one.V), one.V, one.A, dt)
+        start = level * rule.velocity(one.V, one.A, rest, dt) + rule.alpha_f * one.V
+        owned = here.unknowns.fields[0].owned_nodes
+        nodes = owned[c[owned].any(axis=1)]
+        values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
+        return Dashpots(Blocks(0, 0, nodes, nodes, values), c * start, owned)
+
+    @stages.commit
+    def ends(self, operator: Operator, dt: float) -> list[NodalMotion]:
+        """Motion of the nodes at the end of a step, per field. Collective.
+
+        Args:
+            operator: The step's equations, with the increments at the end of the step.
+            dt: Length of the step (s).
+        """
+        rule, motions = self.rule, []
+        for one in self.nodes:
+            u = operator.increments[one.k]
+            A_end = rule.acceleration(u, one.V, one.A, dt)
+            V_end = rule.velocity(one.V, one.A, A_end, dt)
+            push = None
+            if operator.has("contact"):
+                push = self._push(one, operator)
+                V_end, A_end = rule.with_contact(V_end, A_end, push, dt)
+            motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
+        return motions
+
+    @stages.commit
+    def to_points(
+        self,
+        operator: Operator,
+        state: NewState,
+        motions: Sequence[NodalMotion],
+        dt: float,
+        x: Array,
+        scale: float,
+        may_halve: bool,
+    ) -> str | None:
+        """Add the points' new motion to a new state. Collective.
+
+        Loads must have their values in the middle of the step, for their work.
+
+        Args:
+            operator: The step's equations, with the increments at the end of the step.
+            state: The new state; the new motion is added to it.
+            motions: Result of `ends`.
+            dt: Length of the step (s).
+            x: Unknowns at the level of balance, shape (owned,).
+            scale: Increments at the end over increments at the level of balance.
+            may_halve: Whether a step that makes energy may be halved.
+
+        Returns:
+            The reason to halve the step, or None.
+        """
+        points = self._points
+        found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
+        moved, varying = list(zip(self.nodes, motions)), self.varying
+        work = Work(external=work_of_loads(operator, x, scale, moved, dt, varying))
+        stored: dict[int, float] = {}
+        work.add_stresses(points, state.fields, operator)
+        for one, motion in moved:
+            share, expected = (
+                self._ghost_share / scale,
+                self.penalty_energy.share[one.k] * dt * one.V,
+            )
+            faces = self._sides.on(operator.here.fields[one.k].basis)
+            stored[one.k] = add_work_of_nodes(work, one, motion, operator, share, expected, faces)
+        # with a lumped mass, the mapping changes energy more than the rule does
+        if operator.has("contact") and self.terms.kind == "consistent":
+            contact = work_of_contact(operator, self.nodes)
+            reason = self._gain.judge(work, contact, self.ledger.whole, may_halve)
+            if reason is not None:
+                return reason
+        self.ledger.work.add(work)
+        for k, taken in stored.items():
+            self.penalty_energy.energy[k] += taken
+        new = found[0]
+        for one, own in zip(self.nodes[1:], found[1:]):
+            rows = rows_within(points, one.tags)
+            for name, values in own.items():
+                new[name][rows] = values[rows]
+        state.fields.update(new)
+        self._starting = False
+        return None
+
+    def _push(self, one: MovingNodes, operator: Operator) -> Array:
+        """Mean accelerations of the nodes of a field by contact (m/s²). Collective."""
+        forces = one.mass.nodal()
+        forces.arrays[0][:] = mean_contact_forces(operator)[one.k]
+        return one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
+
+    def _from_nodes(
+        self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
+    ) -> dict[str, Array]:
+        """New motion of the points of a field. Rows of other points have no meaning. Collective."""
+        points, field = self._points, operator.here.fields[one.k]
+        s, x_node = field.stencils, field.basis.node_coordinates()
+        if self._starting and self.mapping.kind == "accel":
+            rows = rows_within(points, one.tags)
+            points["acceleration"][rows] = collect(s, one.A)[rows]
+        gradient = np.zeros((len(points), points.gdim, points.gdim))
+        if self.mapping.kind == "tpic":
+            gather(s, motion.V_end, np.empty((len(points), points.gdim)), gradient)
+            dF = np.eye(points.gdim) + operator.points.gradient[one.k]
+            gradient = gradient @ np.linalg.inv(dF)
+        return self.mapping.to_points(
+            points, s, x_node, motion, one.mass, dt, self.rule.gamma, gradient
+        )
+
+    def errors(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> Array:
+        """Error |β − 1/6| Δt² |a' − a| of a step's displacement, and its size (m). Collective.
+
+        Zienkiewicz & Xie 1991, doi 10.1002/eqe.4290200907.
+        """
+        both: Array = np.zeros(2)
+        for one, motion in zip(self.nodes, motions):
+            nodes = here.fields[one.k].nodes
+            assert motion.u is not None
+            change = np.abs(motion.A_end[nodes] - motion.A[nodes]).max(initial=0.0)
+            both = np.maximum(both, [change, np.abs(motion.u[nodes]).max(initial=0.0)])
+        self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
+        both[0] *= abs(self.rule.beta - 1 / 6) * dt**2
+        return both
+
+    def state(self) -> dict[str, Any]:
+        """Its state from step to step."""
+        return {
+            "starting": int(self._starting),
+            "reserve": sorted(self.penalty_energy.energy.items()),
+            "gained": self._gain.made,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restore a state returned by `state`."""
+        self._starting = bool(state["starting"])
+        self.penalty_energy.energy.clear()
+        self.penalty_energy.energy.update({int(k): energy for k, energy in state["reserve"]})
+        self._gain.made = state["gained"]

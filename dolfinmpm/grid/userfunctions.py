@@ -1,0 +1,103 @@
+"""Calls of users' functions of positions, in one layout of the positions.
+
+Arrays of positions have shape (points, gdim), one row per point, wherever they are given or
+returned.
+dolfinmpm takes functions of positions in many places: places and values of conditions, faces
+of a surface, densities, parameters of laws, stresses, `Where`. All these functions get one array x
+of positions (m) of shape (gdim, n), one row per coordinate as in DOLFINx, and return n values.
+In 2D the array has no third row. `x[-1]` is therefore the height in every dimension. A function
+that asks for a missing coordinate gets an error; a row of zeros would give wrong values in
+silence. Functions for DOLFINx that use only `x[0] ... x[gdim - 1]` work unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
+
+__all__ = ["call_function", "choose"]
+
+Array = npt.NDArray[np.float64]
+
+
+def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
+    n, d = x.shape
+    try:
+        return function(np.ascontiguousarray(x.T))
+    except DolfinMPMError:
+        raise  # the message is clear already
+    except Exception as error:
+        text = " ".join(str(error).split())
+        text = text if len(text) <= 200 else text[:197] + "..."
+        raise ParameterError(
+            f"{what} failed with {type(error).__name__}: {text}; it is called with one array of "
+            f"positions (m) of shape ({d}, {n}), one row per coordinate"
+        ) from error
+
+
+def call_function(
+    what: str, function: Callable[[Array], Any], x: Array, shape: tuple[int, ...] = ()
+) -> npt.NDArray[np.float64]:
+    """Values of a user's function at positions. Not collective; see `call_together`.
+
+    Args:
+        what: Name of the function in messages.
+        function: Function of positions in the layout of this module.
+        x: Positions (m), shape (n, gdim). With n = 0 the function is not called, because many
+            functions fail on empty arrays.
+        shape: Shape of one value.
+
+    Returns:
+        Values, shape (n, *shape). A single value is repeated for all positions.
+
+    Raises:
+        ParameterError: The function fails, or does not return numbers of these shapes.
+    """
+    n = len(x)
+    if n == 0:
+        return np.empty((0, *shape))
+    answer = _call(what, function, x)
+    try:
+        values = np.asarray(answer, float)
+    except (TypeError, ValueError):
+        values = None
+    if values is None or values.shape not in (shape, (n, *shape)):
+        got = shown(answer) if values is None else f"shape {values.shape}"
+        raise ParameterError(
+            f"{what} should return numbers of shape {(n, *shape)} for positions of shape "
+            f"{x.T.shape}, got {got}"
+        )
+    return np.broadcast_to(values, (n, *shape)).copy()
+
+
+def choose(what: str, function: Callable[[Array], Any], x: Array) -> npt.NDArray[np.bool_]:
+    """Positions at which a user's function is true. Not collective; see `call_together`.
+
+    Args:
+        what: Name of the function in messages.
+        function: Function of positions in the layout of this module.
+        x: Positions (m), shape (n, gdim). With n = 0 the function is not called.
+
+    Returns:
+        Whether the function is true at each position, shape (n,).
+
+    Raises:
+        ParameterError: The function fails, or does not return n booleans.
+    """
+    n = len(x)
+    if n == 0:
+        return np.zeros(0, bool)
+    answer = _call(what, function, x)
+    values = np.asarray(answer)
+    if values.shape != (n,) or values.dtype != bool:
+        raise ParameterError(
+            f"{what} should return {n} booleans for positions of shape {x.T.shape}, got "
+            f"{values.dtype} of shape {values.shape}; compare coordinates, as in x[0] < 1"
+        )
+    return values

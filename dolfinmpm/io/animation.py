@@ -1,0 +1,372 @@
+"""Films: of a run while it goes, or of files that `ParaView` has written."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import pickle
+import re
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.argumentchecks import check_kind, choice, file_path, number, shown
+from dolfinmpm._platform.collective import collective
+from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.pyvistamesh import domains
+from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
+from dolfinmpm.grid.lattice import lattice_of
+from dolfinmpm.io.encoding import ENDINGS, ffmpeg, join
+from dolfinmpm.io.figures import check_size, two_numbers
+from dolfinmpm.io.frames import Frame, Series
+from dolfinmpm.io.plots import (
+    check_colour,
+    extent_of,
+    grid_lines,
+    label_of,
+    prefix_of,
+    scalar_of,
+)
+from dolfinmpm.io.scene import Scene
+
+__all__ = ["Film", "animate"]
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How frames are drawn; the arguments of `animate`."""
+
+    colour: str
+    component: int | tuple[int, int] | str | None
+    limits: tuple[float, float] | None
+    view: tuple | str
+    draw: str
+    title: str
+    cmap: str
+    size: tuple[float, float]
+    dpi: int
+    rate: float
+
+
+def _comm_of(film: Film, *_: Any, **__: Any) -> MPI.Intracomm:
+    return film._comm
+
+
+class Film:
+    """A film of a run: call `write(time)` after each step, and `close()`, or use it in `with`.
+
+    `mpm.animate(points, path, ...)` makes it. Frames are kept in a folder for temporary files until
+    the film is closed. Then all of them are drawn with one range of colours.
+
+    Attributes:
+        path: The film that `close` writes.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> film = mpm.animate(points, Path(mkdtemp(), "block.gif"), "density", size=(2, 2), dpi=50)
+    >>> for time in (0.0, 1.0):
+    ...     film.write(time)
+    >>> film.close()
+    >>> film.path.exists()
+    True
+    """
+
+    def __init__(
+        self, points: MaterialPoints, path: Path, look: _Look, bodies: Sequence[RigidBody]
+    ):
+        self.path = path
+        self._points, self._look, self._bodies = points, look, list(bodies)
+        self._comm = points.comm
+        # made on rank 0 alone, which is the rank that draws
+        self._folder = tempfile.TemporaryDirectory() if self._comm.rank == 0 else None
+        self._count = 0
+        self._extent = extent_of(points.grid)
+        self._lines = grid_lines(points.grid, None) if points.gdim == 2 else None
+        self._unit = _unit_of(points, look.colour)
+
+    def __enter__(self) -> Film:
+        """The film itself."""
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        """Close it; after an error too: the film then ends at the last frame."""
+        if kind is None or self._count > 0:
+            self.close()
+        elif self._folder is not None:
+            self._folder.cleanup()
+
+    @collective(comm_of=_comm_of)
+    def write(self, time: float) -> None:
+        """Add a frame with the present state. Collective.
+
+        Args:
+            time: Time (s), or share of the load; shown above the picture.
+
+        Raises:
+            ParameterError: The time is not finite.
+            OSError: There is no room for temporary files.
+        """
+        points, colour = self._points, self._look.colour
+        call_together(self._comm, lambda: number("time", time))
+        derived = colour == "displacement" and colour not in points.fields
+        gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
+
+        def keep() -> None:
+            if gathered is None or self._folder is None:
+                return
+            x, F, half, half0, values = gathered
+            values = x - values if derived else values
+            bodies = [body.outline(*self._extent.T) for body in self._bodies]
+            frame = Frame(time, x, in_section(points, F), half, half0, values, bodies)
+            file = Path(self._folder.name, f"frame{self._count:06d}")
+            file.write_bytes(pickle.dumps(frame))
+
+        call_together(self._comm, keep)
+        self._count += 1
+
+    @collective(comm_of=_comm_of)
+    def close(self) -> None:
+        """Draw all frames and write the film. Collective.
+
+        Raises:
+            ParameterError: There is no frame.
+            MissingPackageError: There is no ffmpeg for .mp4, or no PyVista for points in 3D.
+            OSError: The film cannot be written.
+        """
+        if self._count < 0:
+            return
+        count, self._count = self._count, -1
+
+        def draw() -> None:
+            folder = self._folder or contextlib.nullcontext()
+            with folder:
+                if count == 0:
+                    raise ParameterError(
+                        "a film needs a frame or more; call write(time) after steps"
+                    )
+                if self._folder is None:
+                    return
+                folder = self._folder
+                read = lambda k: pickle.loads(Path(folder.name, f"frame{k:06d}").read_bytes())  # noqa: E731
+                _draw_all(read, count, self.path, self._look, self._extent, self._lines, self._unit)
+
+        call_together(self._comm, draw)
+
+
+@collective
+def animate(
+    source: Any,
+    path: str | os.PathLike[str],
+    colour: str = "stress",
+    *,
+    component: int | tuple[int, int] | str | None = None,
+    limits: tuple[float, float] | None = None,
+    view: str | tuple = "grid",
+    draw: str | None = None,
+    title: str = "t = {time:.3g}",
+    cmap: str = "viridis",
+    size: tuple[float, float] = (6.0, 4.0),
+    dpi: int = 150,
+    rate: float = 10.0,
+    bodies: Sequence[RigidBody] = (),
+) -> Film | None:
+    """A film of the material points as .mp4 or .gif. Collective.
+
+    In 1D and 2D Matplotlib draws as `plot` does. In 3D PyVista draws the domains of the points.
+
+    Args:
+        source: The .pvd file of a series that `ParaView` has written: the film is written at once.
+            Or material points, or a problem: then a `Film` is returned, and each `write(time)`
+            adds a frame.
+        path: Film to write: .mp4 (needs ffmpeg, or the package imageio-ffmpeg) or .gif (needs
+            Pillow, which Matplotlib has). Parent folders are created.
+        colour: Name of a field of the points, or "displacement" (m).
+        component: See `plot`.
+        limits: Range of colours, in the field's unit. By default the range over all frames.
+        view: "grid", or ranges (m) of the axes, ((x0, x1), (y0, y1)).
+        draw: "deformed", "domains" or "dots", see `plot`.
+        title: Text above the picture; {time} is the time of the frame.
+        cmap: Matplotlib colour map.
+        size: Largest width and height of the axes with the colour bar (inch).
+        dpi: Dots per inch.
+        rate: Frames per second.
+        bodies: Rigid bodies to draw. A series has those that were written.
+
+    Returns:
+        None, or a `Film` to be used in `with`.
+
+    Raises:
+        ParameterError: An argument has the wrong type or value.
+        CheckpointError: The series cannot be read.
+        MissingPackageError: There is no ffmpeg for .mp4, or no PyVista for points in 3D.
+        OSError: The film cannot be written.
+
+    A film of a block that is pressed down:
+
+    >>> import dolfinmpm as mpm
+    >>> from dolfinx.mesh import CellType, create_unit_square
+    >>> from mpi4py import MPI
+    >>> grid = create_unit_square(MPI.COMM_WORLD, 4, 4, CellType.quadrilateral)
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.75)), per_cell=2, density=1.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1.0, 0.0), points, V.increment, V.test)
+    >>> down = mpm.prescribed(V, "top", 1, increment=-0.01)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    >>> import tempfile
+    >>> file = f"{tempfile.mkdtemp()}/block.gif"
+    >>> with mpm.animate(points, file, size=(2, 2), dpi=50) as film:
+    ...     for share in (0.5, 1.0):
+    ...         film.write(share)
+    """
+    points = getattr(source, "points", source)
+    comm = points.comm if isinstance(points, MaterialPoints) else MPI.COMM_WORLD
+
+    def check() -> tuple[Path, _Look]:
+        file = file_path("path", path)
+        if file.suffix not in ENDINGS:
+            raise ParameterError(f"the path of a film ends in .mp4 or .gif, got '{file}'")
+        if comm.rank == 0 and file.suffix == ".mp4":
+            ffmpeg()
+        if limits is not None and not np.less(*two_numbers("limits", limits)):
+            raise ParameterError(f"limits = {shown(limits)} must rise, from lowest to highest")
+        check_size(size, dpi)
+        number("rate", rate, 0.0)
+        check_kind("title", title, str, '"t = {time:.2f} s"')
+        try:
+            title.format(time=1.0)
+        except (KeyError, IndexError, ValueError) as cause:
+            raise ParameterError(f"title = {title!r} may have {{time}} in it alone") from cause
+        how = draw
+        if how is None:
+            how = "deformed"
+            if isinstance(points, MaterialPoints) and lattice_of(points.grid) is None:
+                how = "dots"
+        choice("draw", how, ("deformed", "domains", "dots"))
+        return file, _Look(
+            colour, component, limits, view, how, title, cmap, size, dpi, float(rate)
+        )  # fmt: skip
+
+    file, look = call_together(comm, check)
+    if isinstance(points, MaterialPoints):
+        derived = colour == "displacement" and colour not in points.fields
+        call_together(comm, lambda: check_colour(points, colour, component, None, view, derived))
+        check_bodies(bodies, points.gdim)
+        return Film(points, file, look, bodies)
+
+    def of_series() -> None:
+        if not isinstance(source, (str, os.PathLike)):
+            raise ParameterError(
+                f"source = {shown(source)} must be a .pvd file, material points, or a problem"
+            )
+        if comm.rank != 0:
+            return
+        series = Series(Path(source))
+        lines = _grid_of(series)
+        read: Callable[[int], Frame] = lambda k: series.frame(k, colour)  # noqa: E731
+        unit = series.units.get(colour, "")
+        _draw_all(read, len(series), file, look, series.box, lines, unit)
+
+    call_together(comm, of_series)
+    return None
+
+
+def _unit_of(points: MaterialPoints, colour: str) -> str:
+    if colour == "displacement" and colour not in points.fields:
+        return "m"
+    unit = getattr(getattr(points, colour, None), "unit", "")
+    return unit.replace("^d", f"^{points.strain_dim}")
+
+
+def _grid_of(series: Series) -> Array | None:
+    """Ends of the lines of a series' rectangular grid in 2D, shape (n, 2, 2)."""
+    if series.lines is None or series.gdim != 2:
+        return None
+    a, b = series.lines
+    return np.array([((s, b[0]), (s, b[-1])) for s in a] + [((a[0], s), (a[-1], s)) for s in b])
+
+
+def _draw_all(read, count: int, path: Path, look: _Look, extent, lines, unit: str) -> None:
+    """Draw all frames with one range of colours, and join them."""
+    low, high = math.inf, -math.inf
+    for k in range(count):
+        frame = read(k)
+        values, _ = scalar_of(frame.values, look.component, frame.x.shape[1])
+        values = values[np.isfinite(values)]
+        low, high = min(low, values.min(initial=low)), max(high, values.max(initial=high))
+    limits = look.limits or ((low, high) if high > low else None)
+    scale, prefix = (1.0, "")
+    if unit == "Pa":
+        scale, prefix = prefix_of(
+            np.array([0.0 if limits is None else max(map(abs, limits))]), None
+        )
+    shown_limits = None if limits is None else np.divide(limits, scale)
+    with tempfile.TemporaryDirectory() as folder:
+        pictures = []
+        for k in range(count):
+            picture = Path(folder, f"picture{k:06d}.png")
+            frame = read(k)
+            values, index = scalar_of(frame.values, look.component, frame.x.shape[1])
+            label = label_of(look.colour, index, prefix + unit)
+            draw = _draw_solid if frame.x.shape[1] == 3 else _draw_flat
+            draw(frame, values / scale, label, shown_limits, picture, look, extent, lines)
+            pictures.append(picture)
+        join(pictures, path, look.rate)
+
+
+def _edges(frame: Frame, look: _Look) -> Array:
+    """Half-edges of the domains as columns, shape (n, d, d)."""
+    if look.draw == "domains":
+        return frame.half[:, None] * np.eye(frame.x.shape[1])
+    return frame.F * frame.half0[:, None]
+
+
+def _draw_flat(frame, values, label, limits, picture, look: _Look, extent, lines) -> None:
+    scene = Scene(
+        frame.x, _edges(frame, look), values, label, look.draw == "dots", lines, limits, 5.0,
+        look.cmap, look.size, frame.bodies,
+    )  # fmt: skip
+    title = look.title.format(time=frame.time)
+    scene.write(picture, extent, look.view, None, title, look.dpi)
+
+
+def _draw_solid(frame, values, label, limits, picture, look: _Look, extent, lines) -> None:
+    """Domains in 3D by PyVista, seen from the front, the right and above."""
+    mesh = domains(frame.x, _edges(frame, look))
+    import pyvista
+
+    mesh.cell_data["values"] = values
+    pixels = [2 * int(side * look.dpi / 2) for side in look.size]
+    plotter = pyvista.Plotter(off_screen=True, window_size=pixels)
+    plotter.set_background("white")
+    plain = re.sub(r"\$|\\mathrm|\\sigma|[{}]", lambda m: "σ" if "sigma" in m[0] else "", label)
+    bar = {"title": plain.replace("\\ ", " "), "color": "black", "fmt": "%.3g", "n_labels": 5}
+    plotter.add_mesh(
+        mesh, scalars="values", clim=limits, cmap=look.cmap, scalar_bar_args=bar, ambient=0.3
+    )
+    for facets in frame.bodies:
+        faces = np.column_stack(
+            [np.full(len(facets), 3), np.arange(3 * len(facets)).reshape(-1, 3)]
+        )
+        surface = pyvista.PolyData(facets.reshape(-1, 3), faces.ravel())
+        plotter.add_mesh(surface, color="0.5", opacity=0.4)
+    box = np.array(look.view, float) if not isinstance(look.view, str) else extent
+    plotter.add_mesh(pyvista.Box(box.ravel()), style="wireframe", color="grey", line_width=1)
+    plotter.add_text(look.title.format(time=frame.time), font_size=10, color="black")
+    plotter.view_vector((1.0, -1.6, 0.8), viewup=(0, 0, 1))
+    plotter.screenshot(picture)
+    plotter.close()

@@ -1,0 +1,59 @@
+"""A program for ParaView that opens a series ready to look at."""
+
+from __future__ import annotations
+
+__all__ = ["recipe_text"]
+
+_RECIPE = '''"""Opens the series beside this file: pvpython THIS.py last.png draws the last time."""
+import os
+import sys
+
+from paraview.simple import *
+
+folder = os.path.dirname(os.path.abspath(globals().get("__file__", "here")))
+view = GetActiveViewOrCreate("RenderView")
+points = PVDReader(FileName=os.path.join(folder, {name!r} + ".pvd"))
+if {boxes}:  # each point as its domain, from x - l to x + l
+    points = Glyph(Input=points, GlyphType="Box", GlyphMode="All Points", ScaleFactor=2.0)
+    points.OrientationArray = ["POINTS", "No orientation array"]
+    points.ScaleArray, points.VectorScaleMode = ["POINTS", "l"], "Scale by Components"
+shown = Show(points, view, PointSize=6.0)
+for part, look in {parts}:
+    other = Show(PVDReader(FileName=os.path.join(folder, {name!r} + part)), view)
+    other.SetRepresentationType(look)
+    other.ColorArrayName = ["POINTS", ""]
+scene = GetAnimationScene()
+scene.UpdateAnimationUsingDataTimeSteps()
+scene.GoToLast()
+ColorBy(shown, {colour})
+shown.RescaleTransferFunctionToDataRange(False, True)
+bar = GetScalarBar(GetColorTransferFunction({field!r}), view)
+bar.Title, bar.ComponentTitle = {title!r}, {component!r}
+bar.Orientation, bar.WindowLocation = "Horizontal", "Lower Center"
+shown.SetScalarBarVisibility(view, True)
+view.InteractionMode = "2D" if {flat} else "3D"
+view.CameraFocalPoint = [0.0, 0.0, 0.0]
+view.CameraPosition, view.CameraViewUp = {camera}
+ResetCamera(view)
+Render(view)
+if sys.argv[-1].endswith(".png"):
+    SaveScreenshot(sys.argv[-1], view)
+'''
+
+
+def recipe_text(name: str, field: str, unit: str, component: str, flat: bool, **is_: bool) -> str:
+    """The program: points by a field as boxes 2 l wide or as dots, grid, rigid bodies, camera.
+
+    Args:
+        name: Name of the series without ending.
+        field, unit: The field for the colours, and its unit.
+        component: Name of its component, "" where it has one only.
+        flat: Whether the points are in 1D or 2D.
+        is_: `boxes`, whether the files have the field l; `bodies`, whether there are rigid bodies.
+    """
+    parts = [("_grid.pvd", "Wireframe")] + [("_bodies.pvd", "Surface")] * is_["bodies"]
+    colour = ("POINTS", field) + (component,) * bool(component)
+    title = f"{field} ({unit})" if unit else field
+    camera = ([0, 0, 1], [0, 1, 0]) if flat else ([-1, -2, 1], [0, 0, 1])
+    drawn = {"flat": flat, "camera": camera, "field": field, "colour": colour}
+    return _RECIPE.format(name=name, parts=parts, title=title, component=component, **drawn, **is_)

@@ -1,0 +1,179 @@
+"""Arguments of `poromechanics`: checked, and turned into UFL."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.formarguments import check_displacement, check_increment, check_test
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.materials.base import lame
+from dolfinmpm.porous.alphalevel import Level
+from dolfinmpm.porous.fluid import Fluid
+
+__all__ = [
+    "first_porosity", "fluid_of", "gravity_of", "modulus_of", "permeability_of", "porosity_of",
+    "suction_of", "time_weights", "unknowns",
+]  # fmt: skip
+
+
+def unknowns(points: MaterialPoints, fields: Any, tests: Any) -> tuple[Any, Any, Any, Any]:
+    """Increment u, pressure p and the test functions v and q.
+
+    Raises:
+        ParameterError: An argument is no pair, or has functions of other spaces.
+    """
+    for what, pair in (("fields", fields), ("tests", tests)):
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise ParameterError(
+                f"{what} = {shown(pair)} must be a pair: one for the displacement and one for the "
+                "pressure"
+            )
+    (u, p), (v, q) = fields, tests
+    check_displacement(points, u=u, v=v)
+    check_increment(points, p)
+    if p.ufl_shape != ():
+        raise ParameterError(
+            f"the pressure has shape {p.ufl_shape} and must be a scalar: Space(..., shape=())"
+        )
+    check_test(points, p, q)
+    return u, p, v, q
+
+
+def fluid_of(fluid: Any) -> Fluid:
+    """The fluid, water by default."""
+    fluid = Fluid() if fluid is None else fluid
+    if not isinstance(fluid, Fluid):
+        raise ParameterError(f"fluid = {shown(fluid)} must be a dolfinmpm.Fluid")
+    return fluid
+
+
+def time_weights(
+    points: MaterialPoints, theta: Any, rho_inf: float | None
+) -> tuple[float, Level | None]:
+    """Weight of the flow at the end of the step, and the level of the generalised-α method.
+
+    Raises:
+        ParameterError: θ is below ½ or above 1, or both arguments are given.
+    """
+    theta = number("theta", theta, 0.0, 1.0, closed=True)
+    if theta < 0.5:
+        raise ParameterError(f"theta = {theta:g} must be at least 0.5: smaller ones are not stable")
+    level = None if rho_inf is None else Level(points, rho_inf)
+    if level is not None and theta != 1:
+        raise ParameterError(
+            f"theta = {theta:g} weights the flow at both ends of a step, but with rho_inf the flow "
+            "is balanced at a level within the step: leave theta or rho_inf out"
+        )
+    return theta, level
+
+
+def porosity_of(porosity: Any, points: MaterialPoints) -> Any:
+    """Porosity for UFL."""
+    if isinstance(porosity, Expr):
+        if porosity.ufl_shape != ():
+            raise ParameterError(f"porosity has shape {porosity.ufl_shape} and must be a scalar")
+        return porosity
+    return own_constant(points.grid, number("porosity", porosity, 0.0, 1.0))
+
+
+def first_porosity(porosity: Any) -> float:
+    """Porosity of the points before the first step."""
+    # the value of an expression is known only in the first step
+    return 0.5 if isinstance(porosity, Expr) else float(porosity)
+
+
+def permeability_of(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
+    """Hydraulic conductivity for UFL, a scalar or a tensor (m/s)."""
+    d = points.gdim
+    if callable(given) and not isinstance(given, Expr):
+        given = _of_porosity(given, J, n)
+    if isinstance(given, Expr):
+        if given.ufl_shape not in ((), (d, d)):
+            raise ParameterError(
+                f"permeability has shape {given.ufl_shape} and must be a scalar or of shape "
+                f"{(d, d)}"
+            )
+        return given
+    if np.ndim(given) == 0:
+        return own_constant(points.grid, number("permeability", given, 0.0, math.inf, "m/s", True))
+    tensor = _tensor(given)
+    if not np.isfinite(tensor).all():
+        raise ParameterError(f"permeability = {shown(given)} must be finite (m/s)")
+    symmetric = tensor.shape == (d, d) and np.allclose(tensor, tensor.T, rtol=1e-12, atol=0)
+    if not symmetric or np.linalg.eigvalsh(tensor).min() < 0:
+        raise ParameterError(
+            f"permeability = {shown(given)} must be symmetric, of shape {(d, d)} and without "
+            "negative eigenvalues (m/s)"
+        )
+    return own_constant(points.grid, tensor)
+
+
+def _of_porosity(function: Any, J: Any, n: Any) -> Any:
+    """Result of a user's function of J and n.
+
+    Raises:
+        ParameterError: The function fails.
+    """
+    try:
+        return function(J, n)
+    except Exception as error:
+        raise ParameterError(
+            f"permeability, a function, failed with {type(error).__name__}: {error}; it is called "
+            "once, with UFL expressions of the volume ratio J and the porosity n; see "
+            "kozeny_carman. For a permeability that varies in space give a field, "
+            "points.add_field('k', value=lambda x: ...)"
+        ) from error
+
+
+def _tensor(given: Any) -> npt.NDArray[np.float64]:
+    try:
+        return np.asarray(given, float)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"permeability = {shown(given)} must be a number (m/s), a tensor, UFL or a function of "
+            "J and n"
+        ) from None
+
+
+def gravity_of(gravity: Any, points: MaterialPoints) -> Any:
+    """Acceleration of gravity for UFL (m/s²), or None."""
+    if gravity is None or isinstance(gravity, Expr):
+        if gravity is not None and gravity.ufl_shape != (points.gdim,):
+            raise ParameterError(
+                f"gravity has shape {gravity.ufl_shape} and must be a vector of {points.gdim}"
+            )
+        return gravity
+    components = np.ravel(np.asarray(gravity, object))
+    if len(components) != points.gdim:
+        raise ParameterError(
+            f"gravity = {shown(gravity)} must be a vector of {points.gdim} components (m/s²)"
+        )
+    return own_constant(points.grid, [number("gravity", c) for c in components])
+
+
+def suction_of(suction: Any, points: MaterialPoints) -> Any:
+    """Largest suction for UFL (Pa)."""
+    return own_constant(points.grid, number("suction", suction, 0.0, math.inf, "Pa", True))
+
+
+def modulus_of(modulus: Any, soil: Any, points: MaterialPoints) -> Any:
+    """P-wave modulus M for UFL (Pa)."""
+    if modulus is not None:
+        return own_constant(points.grid, number("modulus", modulus, 0.0, unit="Pa"))
+    values = soil.values
+    E, nu = values.get("E"), values.get("nu")
+    if not (isinstance(E, float) and isinstance(nu, float)):
+        raise ParameterError(
+            f"{soil!r} has no elastic constants that are the same at all points, but the pressure "
+            "stabilisation needs a modulus as scale: give modulus=M, the P-wave modulus (Pa)"
+        )
+    lmbda, mu = lame(E, nu)
+    return own_constant(points.grid, lmbda + 2 * mu)

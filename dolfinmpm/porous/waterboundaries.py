@@ -1,0 +1,145 @@
+"""Conditions for water at the surfaces of a saturated body: pressures, seepage, inflow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surface import Surface
+from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.porous.deformation import Kinematics
+from dolfinmpm.porous.projection import largest, size_of
+
+__all__ = ["Flow", "prescribed_inflow", "prescribed_pressure", "seepage_face", "surfaces"]
+
+# Factor of the penalty of a drained surface, relative to flow through a cell and storage in a cell
+_DRAINED = 100.0
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Flow of water in a step, for terms at surfaces.
+
+    Attributes:
+        points: Material points.
+        u, p, q: Increment of the displacement (m), pressure (Pa), and its test function times M/h.
+        at: Volume change and spatial gradients after the step's increment.
+        M: P-wave modulus (Pa).
+        K: Permeability k/γ_w (m²/(Pa s)).
+        drive: Gradient that drives the flow, ∇p − ρ_w (b − a) (Pa/m), shape (gdim,).
+    """
+
+    points: MaterialPoints
+    u: Any
+    p: Any
+    q: Any
+    at: Kinematics
+    M: Expr
+    K: Expr
+    drive: Expr
+
+    @property
+    def rate(self) -> Expr:
+        """(k/γ_w)(∇p − ρ_w (b − a)) (m/s), against the direction of the flow."""
+        K, drive = self.K, self.drive
+        return K * drive if K.ufl_shape == () else ufl.dot(K, drive)
+
+    @property
+    def stiffness(self) -> Expr:
+        """Penalty of a prescribed pressure, per area and step (m/Pa)."""
+        h = size_of(self.p)
+        return _DRAINED * (self.points.dt * largest(self.K) / h + h / self.M)
+
+    def area(self, surface: Surface) -> Expr:
+        """Area vectors of a surface at the end of the step (m²), by Nanson's formula."""
+        points, inverse, area = self.points, self.at.inverse, surface.area
+        if inverse is None:
+            return area
+        F = ufl.dot(ufl.inv(in_section(points, inverse)), in_section(points, points.F))
+        area = ufl.det(F) * ufl.dot(area, ufl.inv(F))
+        if points.axisymmetric:
+            area *= surface.position(self.u)[0] / (points.x0 + surface.offset)[0]
+        return area
+
+
+def surfaces(
+    what: str, given: Any, points: MaterialPoints, unit: str, otherwise: float | None = None
+) -> list[tuple[Surface, Any]]:
+    """Surfaces of an argument, each with its value for UFL.
+
+    Args:
+        what: Name of the argument, for messages.
+        given: The argument: a surface, a pair of a surface and a value, or several of these.
+        points: Material points.
+        unit: Unit of the values.
+        otherwise: Value for surfaces without a value, or None if all surfaces need a value.
+
+    Raises:
+        ParameterError: The argument is something else, or has a surface of other points.
+    """
+    if isinstance(given, Surface):
+        given = [given]
+    elif isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], Surface):
+        given = [given] if not isinstance(given[1], (Surface, tuple, list)) else given
+    elif not isinstance(given, (tuple, list)):
+        given = [given]
+    found = []
+    for one in given:
+        pair = one if isinstance(one, (tuple, list)) and len(one) == 2 else (one, otherwise)
+        surface, value = pair
+        if not isinstance(surface, Surface) or surface.points is not points or value is None:
+            alone = "" if otherwise is None else "a dolfinmpm.Surface of these points must be, or "
+            raise ParameterError(
+                f"{what} has {shown(one)} where {alone}a pair of a dolfinmpm.Surface of these "
+                f"points and a value ({unit}) must be"
+            )
+        if not isinstance(value, Expr):
+            value = own_constant(points.grid, number(f"value of {what}", value, unit=unit))
+        found.append((surface, value))
+    return found
+
+
+def prescribed_pressure(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
+    """Prescribed pressure, by Nitsche's method without the adjoint term: flow, and a penalty.
+
+    Args:
+        flow: Flow of water in the step.
+        surface: The surface.
+        value: The pressure (Pa).
+    """
+    points = flow.points
+    gap = surface.at(flow.p) - value
+    form = surface.density * flow.stiffness * gap * surface.at(flow.q) * points.dX
+    through = ufl.dot(flow.rate, flow.area(surface)) / points.V0
+    return form - points.dt * through * surface.at(flow.q) * points.dX
+
+
+def seepage_face(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
+    """Outflow where the pressure is above a value, by a penalty; no water enters.
+
+    Args:
+        flow: Flow of water in the step.
+        surface: The surface.
+        value: The pressure (Pa).
+    """
+    out = ufl.max_value(surface.at(flow.p) - value, 0.0)
+    return surface.density * flow.stiffness * out * surface.at(flow.q) * flow.points.dX
+
+
+def prescribed_inflow(flow: Flow, surface: Surface, rate: Expr) -> ufl.Form:
+    """Prescribed inflow.
+
+    Args:
+        flow: Flow of water in the step.
+        surface: The surface.
+        rate: Volume of water that enters per initial area and time (m/s).
+    """
+    points = flow.points
+    return -points.dt * rate * surface.density * surface.at(flow.q) * points.dX

@@ -1,0 +1,130 @@
+"""Messages about failed steps: the worst point, and advice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfinmpm.basis.conditionchecks import free_motions
+from dolfinmpm.body.axisymmetry import deformation
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.rigidbody import RigidBody
+from dolfinmpm.cut.activate import active_on_grid
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.step import Failed
+
+if TYPE_CHECKING:
+    from dolfinmpm.solve.quasistatic import QuasiStatic
+
+__all__ = ["advice_on", "failed_step", "why_step_failed"]
+
+
+def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed:
+    """What is known of a step that failed. Collective.
+
+    Args:
+        problem: The problem.
+        operator: The step's equations.
+        reason: The reason, in a few words.
+    """
+    free = [] if problem.scheme.inertia else problem.bodies.free
+    support = _missing_support(free, problem.bodies.acting(operator), reason, problem.comm)
+    return Failed(reason, _worst_point(problem, operator), support)
+
+
+def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: float) -> str:
+    """Message about a step that failed after all halvings. Collective.
+
+    Args:
+        problem: The problem.
+        failed: What is known of the last substep.
+        done: Converged share of the step.
+        share: Share of the last substep.
+    """
+    return (
+        f"step {len(problem.history) + 1} failed at {done + share:.4g} of its load "
+        f"({problem.loads.describe()}) with parts of {share:.3g}: SNES says "
+        f"{failed.reason}, the relative out-of-balance force is {problem.last_residual} (tolerance "
+        f"{problem.tolerance:g}); the worst is {failed.worst}. The state is that at "
+        f"{done:.4g} of the step: {failed.advice or advice_on(problem)}"
+    )
+
+
+def advice_on(problem: QuasiStatic) -> str:
+    """Advice on a step that failed. Collective."""
+    here = problem.here
+    if here is None:
+        # a rigid body would move too far, so no step has begun
+        return "take smaller steps"
+    first, points = here.fields[0], problem.points
+    named = any(field.stabilisation.kind != "none" for field in problem.fields)
+    text = "take smaller steps or add stabilisation"
+    if named or here.ghost_facets > 0:
+        text = "take smaller steps"
+    if first.space.increment.ufl_shape != (points.gdim,):
+        return text
+    free = free_motions(problem.bcs, first.space, active_on_grid(first), points.axisymmetric)
+    if not free:
+        return text
+    if not problem.bcs:
+        return (
+            "no boundary conditions are given, rigid motions are free: hold the body with "
+            f"mpm.fixed or mpm.rollers unless a term of the form does, or {text}"
+        )
+    return (
+        f"no condition holds the body's rigid motions {', '.join(free)}: add one unless a term of "
+        f"the form holds them, or {text}"
+    )
+
+
+def _worst_point(problem: QuasiStatic, operator: Operator) -> str:
+    """The point whose law failed, or the most compressed point. Collective."""
+    points = problem.points
+    found = None
+    if len(points):
+        J = np.ones(len(points))
+        if problem.moves:
+            motion = operator.points.motion(operator.here.movers)
+            J = np.linalg.det(deformation(points, *motion))
+        failure = operator.points.failure
+        p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
+        place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
+        place += f": {failure.cause}" if failure is not None and failure.cause else ""
+        found = (failure is None, np.nan_to_num(J[p], nan=-np.inf), place)
+    candidates = [c for c in points.comm.allgather(found) if c is not None]
+    return min(candidates)[2] if candidates else "none"
+
+
+def _missing_support(
+    bodies: Sequence[RigidBody], contacts: Sequence[ActiveRigidContact], reason: str, comm: MPI.Comm
+) -> str:
+    """Advice on a free rigid body without support in a step without inertia. Collective.
+
+    Args:
+        bodies: The free bodies.
+        contacts: The contacts in their last state.
+        reason: Reason of the failure.
+        comm: The ranks.
+
+    Returns:
+        The advice, or an empty string if contact supports all free bodies.
+    """
+    for body in bodies:
+        own = [contact for contact in contacts if contact.contact.body is body]
+        touching = any(bool(contact.now.normal.any()) for contact in own)
+        touches = comm.allreduce(touching, op=MPI.LOR)
+        if touches and "singular" not in reason:
+            continue
+        what = "nothing touches it" if not touches else "contact does not hold it in all of them"
+        assert body.freedom is not None
+        free = ", ".join(str(c) for c in body.freedom.free)
+        return (
+            f"'{body.name}' is free in the components {free} of its motion, {what}, and without "
+            "inertia nothing else carries its load: begin where it rests on the points, give the "
+            "contact friction, prescribe the components that are not to move, "
+            "free=(False, True, ...), or take Newmark and give it a mass"
+        )
+    return ""

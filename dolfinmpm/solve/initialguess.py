@@ -1,0 +1,84 @@
+"""First guess of the increments in contact with rigid bodies: those of the last step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.grid.partition import Partition
+from dolfinmpm.solve.operator import Operator
+
+__all__ = ["InitialGuess"]
+
+Array = npt.NDArray[np.float64]
+
+
+class InitialGuess:
+    """The increments of the last step, as a first guess of the next increments.
+
+    Material flows past a rigid body in much the same way from step to step. With the last
+    increments, the points touch the body at its new place, and points that yield are found to
+    yield. From zero increments, all points are elastic at first. The guess is zero at nodes that
+    were not active.
+
+    Attributes:
+        length: Length of the present step, in time or load.
+    """
+
+    def __init__(self) -> None:
+        self.length = 1.0
+        # per field: owned nodes, and their increments in a step of length 1
+        self._parts: list[tuple[npt.NDArray[np.int32], Array]] = []
+        # ranks of the nodes
+        self._partition: Partition | None = None
+
+    def keep(self, operator: Operator) -> None:
+        """Keep the present increments of an operator."""
+        here = operator.here
+        self._parts, self._partition = [], operator.form.points.partition
+        for field, own, u, scale in zip(
+            here.fields, here.unknowns.fields, operator.increments, self._scales(operator)
+        ):
+            nodes, values = own.nodes, u
+            if field.C is not None:
+                # nodes that are constrained now may be free in the next step
+                nodes, values = field.active, np.asarray(field.C @ u)
+            nodes = nodes[: np.searchsorted(nodes, own.numbering.owned)]
+            self._parts.append((nodes, np.asarray(values[nodes] / scale, np.float64)))
+
+    def on(self, operator: Operator) -> Array | None:
+        """The guess, or None if no increments are known. Collective.
+
+        Returns:
+            The owned unknowns, shape (owned,).
+        """
+        if not self._parts or self._partition is not operator.form.points.partition:
+            return None
+        nodal = operator.here.unknowns.nodal()
+        for u, (nodes, values), scale in zip(nodal.arrays, self._parts, self._scales(operator)):
+            u[nodes] = values * scale
+        return operator.here.unknowns.restrict(nodal.arrays)
+
+    def _scales(self, operator: Operator) -> list[float]:
+        """Factor of each field's increments: the step's length, or 1 for carried values."""
+        return [self.length if name is None else 1.0 for name in operator.form.values]
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """The kept increments of this rank, by name."""
+        kept: dict[str, npt.NDArray[Any]] = {}
+        for k, (nodes, values) in enumerate(self._parts):
+            kept |= {f"guess {k} nodes": nodes, f"guess {k}": values}
+        return kept
+
+    def set_state(self, local: dict[str, npt.NDArray[Any]], partition: Partition | None) -> None:
+        """Restore a state returned by `state`, also an empty one.
+
+        Args:
+            local: Arrays of this rank.
+            partition: Partition of the points, which says the ranks of the nodes.
+        """
+        self._parts, self._partition = [], partition
+        for k in range(sum(name.endswith(" nodes") for name in local if name.startswith("guess"))):
+            self._parts.append((local[f"guess {k} nodes"], local[f"guess {k}"]))

@@ -1,0 +1,193 @@
+"""The state of the points at the end of a step: `new_state` computes it, `commit` writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform import stages
+from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
+from dolfinmpm.assembly.term import NewState
+from dolfinmpm.body.axisymmetry import deformation, in_section
+from dolfinmpm.body.gimpdomains import update_domains
+from dolfinmpm.body.loadbalance import balance
+from dolfinmpm.body.location import destinations
+from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.cut.facetmoduli import FIELD
+from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.grid.tensors import products
+from dolfinmpm.solve.operator import Operator
+
+if TYPE_CHECKING:
+    from dolfinmpm.solve.problem import Problem
+
+__all__ = ["NewState", "commit", "new_state"]
+
+Array = npt.NDArray[np.float64]
+
+
+@stages.commit
+def new_state(
+    problem: Problem,
+    operator: Operator,
+    *,
+    x: Array | None = None,
+    carried: Mapping[str, Array] | None = None,
+    stays: bool = False,
+) -> NewState | str:
+    """The new state for the present increments of the equations. Collective.
+
+    The function changes no point.
+
+    Args:
+        problem: The problem.
+        operator: The equations.
+        x: New positions (m), shape (n, d), if they do not follow from the increment.
+        carried: Values of fields that the form carries, if they do not follow from the present
+            increments.
+        stays: Whether points strain, but do not move.
+
+    Returns:
+        The state, or the reason of a failure.
+
+    Raises:
+        PointsOutsideGridError: Points would leave the grid, by at most one cell.
+    """
+    points, comm, moves = problem.points, problem.comm, problem.moves and not stays
+    evaluation, number = operator.points, len(problem.history) + 1
+    moduli = evaluation.moduli() if operator.form.moduli else None
+    new = evaluation.commit()
+    if moduli is not None:
+        new[FIELD] = operator.form.bounded_moduli(moduli)
+    for declaration in operator.form.parts.declarations:
+        marks = new.setdefault("moved_under", points["moved_under"].copy())
+        marks[declaration.rows] = declaration.mark
+    for update in problem.form.updates:
+        if not (carried and update.carried):
+            update.run(evaluation, new)
+    new.update(carried or {})
+    reason = _out_of_bounds(points, operator.form.parts.carried, new)
+    if reason is not None:
+        return reason
+    state = NewState(new, moves)
+    bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
+    if moves:
+        bad = _move(operator, new, x)
+    operator.update_contact()
+    for term in operator.terms:
+        term.update(state)
+    finite = all(np.isfinite(values).all() for values in new.values())
+    if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
+        if bad.size:
+            evaluation.blame(int(bad[0]))
+        return "a material point's state is not finite or its volume not positive"
+    for term in operator.terms:
+        reason = term.fault(state)
+        if reason is not None:
+            return reason
+    if not moves:
+        return state
+    if not operator.here.total:
+        state.to = destinations(points.grid, new["x"], points["cell"], points.partition)
+        lost = np.flatnonzero(state.to.rank < 0)
+        far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > largest_cell(points.grid))
+        if comm.allreduce(bool(far), op=MPI.LOR):
+            # Newton's method may find an equilibrium beyond a singular state
+            return "material points would be thrown out of the grid, further than a cell"
+        raise_together(comm, _outside(points, new["x"], lost, number))
+    for term in operator.terms:
+        term.follow(state, number)
+    return state
+
+
+def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDArray[np.intp]:
+    """Deform the points and move them, in a new state.
+
+    Args:
+        operator: The operator.
+        new: New values by name of the field; the function adds the moved fields.
+        x: New positions (m), shape (n, d), if they do not follow from the increment.
+
+    Returns:
+        Points whose volume would not be positive.
+    """
+    points, here = operator.form.points, operator.here
+    u, gradient = operator.points.motion(here.movers)
+    dF = deformation(points, u, gradient)
+    new["F"], J = products(np.ascontiguousarray(dF), points["F"])
+    new["V"] = J * points["V0"]
+    new["x"] = points["x"] + u if x is None else x
+    if any(here.fields[k].basis.averaged for k in here.movers):
+        new["l"] = _domains(operator, new["F"])
+    return np.flatnonzero(~(J > 0))
+
+
+@stages.commit
+def commit(points: MaterialPoints, state: NewState) -> int:
+    """Write a new state, and move the points to the ranks of their cells. Collective.
+
+    Returns:
+        Number of points that changed rank.
+    """
+    for name, values in state.fields.items():
+        points.fields[name][...] = values
+    for markers, fields, to in state.beside:
+        for name, values in fields.items():
+            markers.fields[name][...] = values
+        if to is not None:
+            markers.migrate(to)
+    return 0 if state.to is None else points.migrate(state.to) + balance(points)
+
+
+def _domains(operator: Operator, F: Array) -> Array:
+    """Half-lengths of the points' domains (m), by the rule of each point's field."""
+    points, here = operator.form.points, operator.here
+    new = points["l"].copy()
+    for field in (here.fields[k] for k in here.movers):
+        if not field.basis.averaged:
+            continue
+        tags, growth = field.space.tags, field.space.domains
+        if tags is None:
+            return update_domains(in_section(points, F), points["l0"], growth)
+        own = np.isin(points["tag"], tags)
+        new[own] = update_domains(in_section(points, F)[own], points["l0"][own], growth)
+    return new
+
+
+def _out_of_bounds(
+    points: MaterialPoints, carried: Sequence[PointField], new: dict[str, Array]
+) -> str | None:
+    """The first carried field outside its bounds, for a message, or None. Collective."""
+    found = None
+    for field in carried:
+        if isinstance(field, CarriedField) and field.bounds is not None:
+            low, high = field.bounds
+            values = new[field.name]
+            bad = np.flatnonzero(~((values > low) & (values < high)))
+            if bad.size and found is None:
+                p = bad[0]
+                found = (
+                    f"{field.name} = {values[p]:.4g} of the point at {points['x'][p]} m, which "
+                    f"must lie between {low:g} and {high:g}"
+                )
+    bounded = any(isinstance(field, CarriedField) and field.bounds for field in carried)
+    if not bounded:
+        return None
+    return next((text for text in points.comm.allgather(found) if text is not None), None)
+
+
+def _outside(points: MaterialPoints, x: Array, lost, step: int) -> PointsOutsideGridError | None:
+    """The error about points that would leave the grid, or None."""
+    if lost.size == 0:
+        return None
+    p = lost[0]
+    return PointsOutsideGridError(
+        f"{lost.size} material points would leave the grid in step {step}; point "
+        f"{points['id'][p]} goes from {points['x'][p]} m to {x[p]} m. The state is that before it: "
+        "enlarge the grid or hold the points with boundary conditions"
+    )

@@ -1,0 +1,350 @@
+"""Checks of a problem as a whole: its fields, conditions, laws and boundaries together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+from ufl.algorithms.analysis import extract_constants
+from ufl.constantvalue import zero
+
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.errors import (
+    FormError,
+    FreeAxisWarning,
+    ParameterError,
+    UndeterminedFieldError,
+    raise_together,
+    warn,
+)
+from dolfinmpm._platform.plainvalues import plain_value
+from dolfinmpm.assembly.stencilsums import Matrix
+from dolfinmpm.basis.conditionchecks import idle
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import UNSET, MaterialPoints, PointField
+from dolfinmpm.cut.activate import active_on_grid
+from dolfinmpm.cut.activation import Activation, Field, movers
+from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.forms.declarations import Declaration, in_words
+from dolfinmpm.grid.constants import is_own
+from dolfinmpm.kinematics.nitsche import WeakCondition
+from dolfinmpm.kinematics.walls import Wall
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.weakform import WeakForm
+from dolfinmpm.terms.boundaryterm import BoundaryTerm
+
+__all__ = [
+    "check_boundary_conditions",
+    "check_field_tags",
+    "check_kinds_of_conditions",
+    "check_pressure_conditions",
+    "check_pressure_level",
+    "refuse_field_tags",
+    "refuse_rates",
+    "refuse_time",
+    "warn_of_free_axis",
+]
+
+# A domain reaches the axis if it ends within this share of its half-length from the axis
+_TOUCHES = 0.01
+# A constant pressure makes no forces if they are below this share of those of a random pressure
+_ROUNDING = 1e-12
+
+
+# -- time ---------------------------------------------------------------------
+
+
+def refuse_rates(form: ufl.Form, points: MaterialPoints, problem: str) -> None:
+    """Raise if a form in a problem without time has rates over an unset length of the step.
+
+    Args:
+        form: Weak form.
+        points: Its material points.
+        problem: Name of the problem, for the message.
+
+    Raises:
+        FormError: The form has such rates.
+    """
+    if float(points.dt.value) != UNSET or points.dt not in extract_constants(form):
+        return
+    # nothing flows where the library's own constant, such as a permeability, is zero
+    own = [c for c in extract_constants(form) if is_own(c) and c is not points.inertia]
+    absent = {c: zero(c.ufl_shape) for c in own if not np.any(c.value)}
+    if points.dt in extract_constants(ufl.replace(form, absent)):
+        raise FormError(
+            "the form has rates over points.dt, the length of a step, as mpm.poromechanics has, "
+            f"and {problem} knows no time: take Transient, Newmark or GeneralisedAlpha, or set "
+            "points.dt.value (s) before the step"
+        )
+
+
+def refuse_time(t: Any, problem: str) -> None:
+    """Raise ParameterError if a step of a problem without time is given a time.
+
+    Args:
+        t: Argument of the step.
+        problem: Name of the problem.
+    """
+    if t is not None:
+        raise ParameterError(
+            f"step({shown(t)}): {problem} knows no time, and a step goes to the load that the "
+            "form's constants hold: set their values and call step(); steps in time are those of "
+            "mpm.Transient, mpm.Newmark and mpm.Explicit"
+        )
+
+
+# -- fields of the points of tags ---------------------------------------------
+
+
+def check_field_tags(fields: Sequence[Field], form: WeakForm) -> None:
+    """Raise unless exactly one field moves each point, where fields have tags. Collective.
+
+    Args:
+        fields: Fields of a problem.
+        form: Its weak form.
+
+    Raises:
+        ParameterError: Two displacements share a tag, no field moves a point, or a displacement
+            without tags would move points of another displacement.
+    """
+    spaces = [field.space for field in fields]
+    if all(space.tags is None for space in spaces):
+        return
+    points = form.points
+    shape = (points.gdim,)
+    if spaces[0].tags is None and spaces[0].increment.ufl_shape == shape:
+        return
+    own = [(k, spaces[k].tags or ()) for k in movers(spaces)]
+    for k, space in enumerate(spaces):
+        if space.tags is None and space.increment.ufl_shape == shape:
+            raise ParameterError(
+                f"field {k + 1} is a displacement of all points, and others are of those of tags: "
+                "give each a Space with the tags of its own points"
+            )
+    for (j, others), (k, tags) in itertools.combinations(own, 2):
+        if set(tags) & set(others):
+            raise ParameterError(
+                f"fields {j + 1} and {k + 1} both move the points of tag "
+                f"{min(set(tags) & set(others))}; give their Spaces tags that share the points"
+            )
+    every = [tag for _, tags in own for tag in tags]
+    stray = np.flatnonzero(~np.isin(points["tag"], every))
+    error = None
+    if stray.size and own:
+        p = stray[0]
+        error = ParameterError(
+            f"{stray.size} points, such as that of tag {points['tag'][p]} at {points['x'][p]} m, "
+            f"are moved by no field; the fields' tags are {tuple(every)}: give one of the Spaces "
+            "their tag too"
+        )
+    raise_together(points.comm, error)
+
+
+def refuse_field_tags(fields: Sequence[Field], what: str, instead: str) -> None:
+    """Raise ParameterError if a field has tags.
+
+    Args:
+        fields: Fields of a problem.
+        what: Feature that needs one field for all points.
+        instead: What to do, for the message.
+    """
+    for k, field in enumerate(fields):
+        if field.space.tags is not None:
+            raise ParameterError(
+                f"field {k + 1} is of points of the tags {field.space.tags}, and {what} has one "
+                f"field for all points; {instead}"
+            )
+
+
+# -- essential conditions -----------------------------------------------------
+
+
+def check_kinds_of_conditions(
+    bcs: Sequence[Condition], spaces: Sequence[Space], carried: Sequence[PointField]
+) -> None:
+    """Raise if a condition prescribes a value of an increment, or an increment of a value.
+
+    A substep would otherwise take a share of a value, or a whole increment.
+
+    Args:
+        bcs: The conditions.
+        spaces: Spaces of the problem's fields.
+        carried: Fields of the points that the form carries from step to step.
+
+    Raises:
+        ParameterError: There is such a condition.
+    """
+    values = [f.of for f in carried if isinstance(f, CarriedField)]
+    moving = [spaces[k].increment for k in movers(spaces)]
+    for condition in bcs:
+        u, where = condition.space.increment, condition.where
+        is_value = any(one is u for one in values)
+        if condition.kind == "increment" and is_value:
+            raise ParameterError(
+                f"the condition at '{where}' prescribes an increment, and the form carries the "
+                "field's values from step to step: give mpm.prescribed(..., value=...)"
+            )
+        if condition.kind == "value" and not is_value and any(one is u for one in moving):
+            raise ParameterError(
+                f"the condition at '{where}' prescribes a value, and the field is the increment "
+                "of a step, which moves points: give mpm.prescribed(..., increment=...)"
+            )
+
+
+def check_pressure_conditions(conditions: Sequence[Condition], here: Activation) -> None:
+    """Raise if a condition on a scalar field holds no active node. Collective.
+
+    A displacement may be held where the body arrives later. But a drained boundary away from the
+    body would leave the body sealed, without any message.
+
+    Raises:
+        ParameterError: There is such a condition.
+    """
+    scalar = [c for c in conditions if c.space.increment.ufl_shape == ()]
+    spaces = [field.space for field in here.fields]
+    names = idle(scalar, spaces, [active_on_grid(field) for field in here.fields])
+    if names:
+        places = ", ".join(f"'{name}'" for name in names)
+        raise ParameterError(
+            f"the conditions on the pressure at {places} hold no node of the body, which is away "
+            "from there: hold the pressure where the body is, by a function of positions, or on "
+            "its own surface, mpm.poromechanics(..., drained=surface)"
+        )
+
+
+def check_pressure_level(operator: Operator) -> None:
+    """Raise if the equations determine a scalar field only up to a constant. Collective.
+
+    Raises:
+        UndeterminedFieldError: There is such a field.
+    """
+    here = operator.here
+    unknowns = here.unknowns
+    scalar = [k for k, f in enumerate(here.fields) if f.space.increment.ufl_shape == ()]
+    if not scalar or unknowns.total == 0:
+        return
+    matrix = Matrix(here.pattern, unknowns)
+    operator.move_to_zero()
+    operator.tangent(matrix)
+    x, y = matrix.petsc.createVecs()
+    random = np.random.default_rng(unknowns.comm.rank)
+    for k in scalar:
+        norms = []
+        for values in (np.ones(unknowns.owned), random.choice([-1.0, 1.0], unknowns.owned)):
+            x.getArray()[:] = unknowns.only(k, values)
+            matrix.petsc.mult(x, y)
+            norms.append(y.norm())
+        if norms[0] <= _ROUNDING * norms[1]:
+            matrix.petsc.destroy()
+            raise UndeterminedFieldError(
+                f"field {k + 1} of {len(here.fields)}, a pressure, is determined up to a "
+                "constant: the body is held all around, sealed, and what fills its pores cannot "
+                "be compressed. Hold the pressure somewhere, drain a surface, leave a part of the "
+                "body free to move, or give the fluid a bulk modulus"
+            )
+    matrix.petsc.destroy()
+
+
+def warn_of_free_axis(points: MaterialPoints, here: Activation) -> None:
+    """Warn if an axisymmetric body reaches the axis and nodes may leave the axis. Collective.
+
+    Args:
+        points: Material points.
+        here: The activation; its first field is the displacement.
+    """
+    if not points.axisymmetric or here.unknowns.fields[0].components != points.gdim:
+        return
+    x, half, first = points["x"][:, 0], points["l"][:, 0], here.fields[0]
+    touches = bool(np.any(x - half < _TOUCHES * half))
+    on_axis = first.basis.node_coordinates()[first.nodes, 0] <= 1e-9 * x.max(initial=0.0)
+    free = int(np.sum(~here.unknowns.fields[0].fixed[first.nodes[on_axis], 0]))
+    touches, free = (points.comm.allreduce(k, op=MPI.MAX) for k in (touches, free))
+    if touches and free:
+        warn(
+            points.comm,
+            f"the body reaches the axis x[0] = 0, and {free} nodes there are free to move radially,"
+            ' as no material can; hold them with mpm.rollers(space, "left")',
+            FreeAxisWarning,
+        )
+
+
+# -- conditions on boundaries that do not fit the grid ------------------------
+
+
+def check_boundary_conditions(
+    boundaries: Sequence[BoundaryTerm], declarations: Sequence[Declaration]
+) -> None:
+    """Raise if a condition on a boundary is given twice, or with another law than the body's.
+
+    Nitsche's method balances the traction of the body. Figures are wrong if it does so twice, or
+    with the traction of another law, and nothing else shows the error.
+
+    Args:
+        boundaries: Terms over boundaries.
+        declarations: Laws of the body.
+
+    Raises:
+        FormError: There is such a condition.
+    """
+    for of in boundaries:
+        for one, other in itertools.combinations(of.conditions, 2):
+            if _same(one, other):
+                what = "wall (mpm.signorini)" if isinstance(one, Wall) else "condition"
+                raise FormError(
+                    f"the form has a {what} at '{of.boundary.name}' twice for the same components "
+                    "and points: leave one out, or give them tags or directions of their own"
+                )
+        for condition in of.conditions:
+            if isinstance(condition, WeakCondition) and condition.exact:
+                _check_law(condition, declarations)
+
+
+def _tags_of(condition: Any) -> Any:
+    return None if condition.declaration is None else condition.declaration.tags
+
+
+def _overlap(a: Any, b: Any) -> bool:
+    return a is None or b is None or bool(set(a) & set(b))
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two conditions hold the same components and points, by more than a penalty."""
+    if type(one) is not type(other) or not _overlap(_tags_of(one), _tags_of(other)):
+        return False
+    first, second = one.declaration, other.declaration
+    if first is not None and second is not None and first.u is not second.u:
+        return False
+    if isinstance(one, Wall):
+        return True
+    if not (one.exact and other.exact):
+        return False
+    a, b = one.direction, other.direction
+    if a is None or b is None or isinstance(a, str) or isinstance(b, str):
+        return a is None or b is None or (isinstance(a, str) and isinstance(b, str))
+    return bool(np.linalg.norm(np.cross(np.asarray(a, float), np.asarray(b, float))) == 0.0)
+
+
+def _check_law(condition: WeakCondition, declarations: Sequence[Declaration]) -> None:
+    """Raise FormError unless the law and strain of a condition are those of the body there."""
+    own = condition.declaration
+    assert own is not None
+    near = [d for d in declarations if d.u is own.u and _overlap(d.tags, own.tags)]
+    if not near:
+        return
+    name = condition.boundary.name
+    if not any(d.law is own.law or plain_value(d.law) == plain_value(own.law) for d in near):
+        raise FormError(
+            f"the condition (mpm.dirichlet) at '{name}' has the traction of {own.law!r}, and the "
+            f"body there that of {near[0].law!r} ({in_words(near[0].tags)}): give the body's law, "
+            'or method="penalty"'
+        )
+    if not any(d.strain == own.strain for d in near):
+        raise FormError(
+            f"the condition (mpm.dirichlet) at '{name}' has strain = \"{own.strain}\", and the "
+            f'body there strain = "{near[0].strain}": give both the same'
+        )

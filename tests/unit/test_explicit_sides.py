@@ -1,0 +1,115 @@
+"""Explicit steps at absorbing, frictional and driven sides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+from dolfinx import fem, mesh
+from test_explicit import bar
+
+import dolfinmpm as mpm
+from dolfinmpm._platform import errors
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        mpm.Explicit,
+        pytest.param(mpm.Newmark, marks=pytest.mark.long),
+        pytest.param(mpm.GeneralisedAlpha, marks=pytest.mark.long),
+    ],
+)
+def test_absorbing_faces_let_a_pulse_out(kind):
+    def faces(V):
+        return mpm.absorbing(V, "left", "right", density=1.0, p_speed=10.0)
+
+    options = {} if kind is mpm.Explicit else {"stabilisation": "ghost"}
+    problem = bar(kind=kind, bcs=faces, **options)
+    x = problem.points["x"][:, 0]
+    problem.points["velocity"][:, 0] = -1e-3 * np.exp(-((x - 8.0) ** 2))
+    first = problem.energies().kinetic
+    for t in mpm.times(4.0, dt=0.02):
+        problem.step(t)
+    energies = problem.energies()
+    assert (energies.kinetic + energies.strain) / first < 1e-3
+
+
+def test_absorbing_needs_a_rectangular_grid():
+    grid = mesh.create_unit_square(COMM, 3, 3, mesh.CellType.triangle)
+    with pytest.raises(errors.UnsupportedGridError):
+        mpm.absorbing(mpm.Space(grid), "left", density=1.0, p_speed=1.0)
+
+
+@pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark])
+def test_what_a_condition_holds_no_face_acts_on(kind):
+    waves = {"density": 1.0, "p_speed": 10.0}
+    grid = mesh.create_rectangle(COMM, [(0, 0), (4, 2)], (8, 4), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 1)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=100.0, nu=0.0), points, V.increment, V.test)
+
+    def made(bcs):
+        return kind(F, V.increment, points, bcs)
+
+    right = mpm.absorbing(V, "right", **waves)
+    whole = mpm.prescribed(V, lambda x: x[0] > 1.9, 0, increment=0.0)
+    for held, where in ((mpm.fixed(V, "right"), "'right'"), (whole, "'nodes from")):
+        words = rf"absorbing face at 'right' .* direction 0, .* the condition at {where}"
+        with pytest.raises(errors.ParameterError, match=words):
+            made(right + held)
+    with pytest.raises(errors.ParameterError, match="absorbing face at 'right' is there twice"):
+        made(right + right)
+    # what is held at its ends, or in the direction that waves do not come in, still acts
+    made(right + mpm.rollers(V, "bottom", "top") + mpm.prescribed(V, "right", 1))
+    both = mpm.absorbing(V, "right", s_speed=1.0, **waves)
+    with pytest.raises(errors.ParameterError, match="direction 1"):
+        made(both + mpm.prescribed(V, "right", 1))
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.2])
+def test_a_block_slides_on_a_frictional_face(mu):
+    grid = mesh.create_rectangle(COMM, [(0, 0), (8, 2)], (32, 8), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0.5, 0), (1.5, 1)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, -10.0))
+    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, u, v)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    points.add_field("velocity", (2,), "m/s", (3.0, 0.0))
+    problem = mpm.Explicit(F, u, points, mpm.frictional(V, "bottom", friction=mu))
+    problem.step(0.8)
+    mean = problem.momentum()[0] / 1000.0
+    assert mean == pytest.approx(3.0 - mu * 10.0 * 0.8, abs=0.02)
+    moved = points["x"][:, 0].mean() - 1.0
+    assert moved == pytest.approx(3.0 * 0.8 - 0.5 * mu * 10.0 * 0.64, rel=0.01)
+
+
+def test_friction_is_of_explicit_steps():
+    with pytest.raises(errors.ParameterError, match="frictional face at 'left'"):
+        bar(kind=mpm.Newmark, bcs=lambda V: mpm.frictional(V, "left", friction=0.1))
+
+
+@pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark])
+def test_a_driven_end_sends_a_wave(kind):
+    """v(t) at one end arrives at x as v(t − x/c), and its work is the energy of the wave."""
+
+    def pulse(t):
+        return 1e-3 * np.sin(2 * np.pi * t) ** 2 if 0 < t < 0.5 else 0.0
+
+    def conditions(V):
+        return mpm.moving(V, "left", 0, velocity=pulse) + mpm.fixed(V, "right")
+
+    options = {} if kind is mpm.Explicit else {"stabilisation": "ghost"}
+    problem = bar(kind=kind, bcs=conditions, **options)
+    for t in mpm.times(1.0, dt=0.01):
+        problem.step(t)
+    x, velocity = problem.points["x"][:, 0], problem.points["velocity"][:, 0]
+    exact = np.array([pulse(1.0 - s / 10.0) for s in x])
+    assert np.abs(velocity - exact).max() < 0.1 * 1e-3
+    energies = problem.energies()
+    stored = energies.kinetic + energies.strain
+    assert energies.external == pytest.approx(stored, rel=0.01)
+    # ρ c ∫ v² dt
+    assert stored == pytest.approx(10.0 * 1e-6 * 0.5 * 3 / 8, rel=0.02)
