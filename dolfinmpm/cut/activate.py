@@ -411,6 +411,8 @@ def _bases(
             need = max(need, layers_needed(span, basis))
         if one.constrains_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
+            # whether a cell of splines is a root depends on the cells around it
+            need += SEARCH_RADIUS if basis.degree > 1 else 0
         layers[id(basis)] = max(layers.get(id(basis), 0), need)
     found: list[Basis] = []
     for one in fields:
