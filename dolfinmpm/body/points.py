@@ -15,14 +15,14 @@ from dolfinmpm._platform.argumentchecks import truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_together
 from dolfinmpm.body import pointchanges, pointfiles, pointinput
-from dolfinmpm.body.axisymmetry import require_axis, ring
+from dolfinmpm.body.axisymmetry import require_axis
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.location import Destinations, bounds, destinations
+from dolfinmpm.body.location import Destinations, bounds
 from dolfinmpm.body.migration import migrate
 from dolfinmpm.body.pointchanges import PointChange
 from dolfinmpm.body.pointchecks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.pointsymbols import ACTIVE_CELLS, GHOST_FACETS, UNSET
-from dolfinmpm.body.pointtable import BUILT_IN, PointTable
+from dolfinmpm.body.pointtable import PointTable
 from dolfinmpm.grid.partition import Partition
 
 __all__ = [
@@ -37,7 +37,6 @@ __all__ = [
 
 # Fields that change as the body moves, and that no law needs before the first step
 MOTION = frozenset(("cell", "x", "V", "F", "l", "stress", "velocity", "acceleration"))
-_RESERVED = ("id", "cell", "tag", "moved_under", *BUILT_IN)
 
 Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
@@ -228,9 +227,8 @@ class MaterialPoints(PointTable):
             UnsupportedGridError: The cells are curved, or coordinates have single precision.
         """
         rows, others = pointinput.located(
-            grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric,
-            reserved=tuple(name for name in _RESERVED if name != "stress"),
-        )  # fmt: skip
+            grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric
+        )
         points = cls(grid, **rows, axisymmetric=axisymmetric)
         for name, values in others.items():
             points.add_field(name, values.shape[1:])
@@ -308,9 +306,7 @@ class MaterialPoints(PointTable):
             PointsOutsideGridError: Points are outside the grid.
             OSError: The file cannot be read.
         """
-        rows = pointfiles.from_mesh(grid, mesh, density, points, degree, tag)
-        if truth("axisymmetric", axisymmetric):
-            rows["volume"] = ring(rows["x"][:, 0], rows["volume"])
+        rows = pointfiles.from_mesh(grid, mesh, density, points, degree, tag, axisymmetric)
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     # -- changes of the body --------------------------------------------------
@@ -393,10 +389,7 @@ class MaterialPoints(PointTable):
         Raises:
             PointsOutsideGridError: Points are outside the grid.
         """
-        x = self.placement(self.configuration).x
-        to = destinations(self.grid, x, self["cell"], self.partition)
-        raise_together(self.comm, pointinput.outside(x, self["id"], to))
-        return self.migrate(to)
+        return self.migrate(pointinput.destinations_of(self))
 
     def migrate(self, to: Destinations) -> int:
         """Move points to the ranks that compute their cells; returns their number. Collective."""

@@ -32,15 +32,14 @@ from dolfinmpm.cut.activation import (
     TermsOverBoundary,
 )
 from dolfinmpm.cut.activecells import active_cells, active_nodes, entities
-from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
-from dolfinmpm.cut.cellaverages import layers_needed
+from dolfinmpm.cut.aggregation import mesh_roots
 from dolfinmpm.cut.couplings import KeptCouplings, lists_of, pairs_of
 from dolfinmpm.cut.essentialconditions import EssentialConditions
+from dolfinmpm.cut.overlap import overlapping_bases
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.regions import active_boundary_regions, active_region
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.grid.partition import Partition
 
 __all__ = ["activate", "active_on_grid"]
 
@@ -253,7 +252,7 @@ class _Builder:
         # markers activate cells like points without volume
         where = concatenated([bodies, *(one.seen for one in of_all.values())])
         averages = any(region.averages for region in terms.regions)
-        bases = _bases(fields, where, averages, points.partition, terms.layers)
+        bases = overlapping_bases(fields, where, averages, points.partition, terms.layers)
         self._drafts = [self._draft(k, *both) for k, both in enumerate(zip(fields, bases))]
         self.boundaries = of_all
         if not all(of.boundary.activates for of in terms.boundaries):
@@ -390,38 +389,3 @@ class _Builder:
             stencils=part(field.stencils, 0, own),
             of_markers=of_markers,
         )
-
-
-def _bases(
-    fields: Sequence[Field],
-    where: Placement,
-    averages: bool,
-    partition: Partition | None,
-    least: int = 0,
-) -> list[Basis]:
-    """The bases, with the overlap for domains, roots and cell means. Collective."""
-    reach = {id(f.space.basis): f.space.basis for f in fields}
-    reaches = {key: basis.reach(where) for key, basis in reach.items()}
-    layers: dict[int, int] = {}
-    averaged = any(f.space.basis.averaged for f in fields if f.space.refinement is not None)
-    # cell means use the nodes of all fields around the cells of the first field's domains
-    span = max(count for _, count in reaches.values())
-    for one in fields:
-        basis = one.space.basis
-        need = max(reaches[id(basis)][0], least)
-        if averages:
-            need = max(need, layers_needed(span, basis))
-        if one.constrains_nodes:
-            need += SEARCH_RADIUS + basis.degree + 1
-        layers[id(basis)] = max(layers.get(id(basis), 0), need)
-    found: list[Basis] = []
-    for one in fields:
-        base, refinement = one.space.basis, one.space.refinement
-        need = layers[id(base)]
-        if refinement is None:
-            found.append(base.grown(need, partition))
-        else:
-            assert isinstance(base, LatticeBasis)
-            refinement.leaves_for(where, averaged)
-            found.append(refinement.basis(base, need, partition))
-    return found

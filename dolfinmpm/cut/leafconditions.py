@@ -9,7 +9,8 @@ from dolfinx import fem
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LeafBasis
-from dolfinmpm.basis.conditions import Condition, side_of
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.grid.sides import side_of
 from dolfinmpm.grid.userfunctions import call_function, choose
 
 __all__ = ["on_leaves"]

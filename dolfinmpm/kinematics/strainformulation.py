@@ -121,21 +121,6 @@ class StrainFormulation:
         """How many numbers per point are kept between residual and tangent; see `KeepingLaw`."""
         return kept_numbers(self.points.strain_dim, len(self.law.internal))
 
-    def _run(
-        self, operand: Array, rows: Rows, kept: KeptTangents | None, S, A, new, internal, sigma
-    ) -> int:
-        points, compiled = self.points, self._compiled
-        ending = len(new) > 0
-        values, known = (
-            (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
-        )
-        return self._kernel(
-            self.law.address, self.parameters(rows), compiled.programs(len(A) > 0, ending),
-            compiled.checks, compiled.logarithmic, np.ascontiguousarray(operand),
-            np.ascontiguousarray(rows, np.int32), points["F"], points[self.state],
-            self.internal(rows), values, known, S, A, new, internal, sigma,
-        )  # fmt: skip
-
     def principal(self, rows: Rows) -> Array:
         """Elastic principal strains of some points (-), shape (rows, 3)."""
         strain: Array = np.empty((0, 3))
@@ -171,12 +156,28 @@ class StrainFormulation:
         tangent: Array | None,
         rows: Rows,
         kept: KeptTangents | None = None,
+        end: tuple[Array, Array, Array] | None = None,
     ) -> int:
-        """Compute the flux S (Pa) and its derivative by ∇ũ; see `KeepingLaw`."""
+        """Compute the flux S (Pa) and its derivative by ∇ũ; see `KeepingLaw`.
+
+        With `end`, write the elastic strain, the internal variables and the Cauchy stress (Pa) at
+        the end of the step there instead; then `value` has no rows.
+        """
         if len(rows) == 0:
             return -1
-        A = np.empty((0, 1, 1)) if tangent is None else tangent
-        return self._run(operand, rows, kept, value, A, *[np.empty((0, 6))] * 3)
+        points, compiled = self.points, self._compiled
+        values, known = (
+            (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
+        )
+        new, internal, sigma = (np.empty((0, 6)),) * 3 if end is None else end
+        return self._kernel(
+            self.law.address, self.parameters(rows),
+            compiled.programs(tangent is not None, end is not None),
+            compiled.checks, compiled.logarithmic, np.ascontiguousarray(operand),
+            np.ascontiguousarray(rows, np.int32), points["F"], points[self.state],
+            self.internal(rows), values, known, value,
+            np.empty((0, 1, 1)) if tangent is None else tangent, new, internal, sigma,
+        )  # fmt: skip
 
     def commit(
         self, operand: Array, rows: Rows, kept: KeptTangents | None = None
@@ -185,11 +186,9 @@ class StrainFormulation:
         n = len(rows)
         new, sigma = np.empty((n, 6)), np.empty((n, 6))
         internal = np.empty((n, len(self.law.internal)))
-        if n:
-            none = np.empty((0, 1)), np.empty((0, 1, 1))
-            bad = self._run(operand, rows, kept, *none, new, internal, sigma)
-            if bad >= 0:
-                new[bad:] = sigma[bad:] = np.nan
+        bad = self.evaluate(operand, np.empty((0, 1)), None, rows, kept, (new, internal, sigma))
+        if bad >= 0:
+            new[bad:] = sigma[bad:] = np.nan
         fields = {self.state: new, "stress": symmetric(sigma)}
         return fields | {name: internal[:, k].copy() for k, name in enumerate(self.law.internal)}
 
