@@ -133,8 +133,6 @@ def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:
 
 
 def _own(path: Any, to: Any, steps: int) -> list[Leg]:
-    if to is not None:
-        raise ParameterError("to is for paths by name; legs have their own values")
     if not isinstance(path, Sequence) or not len(path):
         raise ParameterError(
             f"path = {shown(path)} must be one of {', '.join(_PATHS)}; or a list of legs, such as "
@@ -148,5 +146,9 @@ def _own(path: Any, to: Any, steps: int) -> list[Leg]:
             )
         found.append(
             leg(part.get("strain", {}), part.get("stress", {}), part.get("steps", steps))
+        )
+    if to is not None:
+        raise ParameterError(
+            f"to = {shown(to)} is for paths by name; legs have values of their own"
         )
     return found
