@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import pathlib
-import tempfile
 
 import numpy as np
 import ufl
@@ -92,10 +91,9 @@ def StateError():
 
 
 def UserLawError():
-    with tempfile.TemporaryDirectory() as folder:
-        source = pathlib.Path(folder) / "law.f90"
-        source.write_text("subroutine vumat()\nend subroutine\n")
-        mpm.materials.UMAT(source)
+    source = pathlib.Path("law.f90")
+    source.write_text("subroutine vumat()\nend subroutine\n")
+    mpm.materials.UMAT(source)
 
 
 def CheckpointError():
