@@ -9,7 +9,7 @@ An objective law is a function σ = R f(σ_n, Rᵀ Δε R) Rᵀ. With δΩ = δR
     δσ = D : (δΔε − [δΩ, Δε]) + [δΩ, σ],    [Ω, a] = Ω a − a Ω,
 
 whatever the law does with the stress that it is given. The derivative of R has the axial vector
-(δw + w × δw/2)/(1 + |w|²/4), with the axial vector w of skew G; and δG = B δH B with B = (1 + H/2)⁻¹.
+(δw + w × δw/2)/(1 + |w|²/4), with the axial vector w of skew G. With B = (1 + H/2)⁻¹, δG = B δH B.
 The flux is S = J σ ΔF⁻ᵀ.
 """
 
@@ -52,7 +52,7 @@ def umat_kernel(d: int, components: int):
     - of_all: fields of all points: F (all, d, d), stress (all, 3, 3), total strain (all, 6),
       energies (all, 3), positions (all, gdim), ids (all,).
     - state_n: state variables at the start of the step, shape (n, variables).
-    - kept: response, shape (n, `kept_of_umat`); written, or read if `known`. A single row is reused.
+    - kept: response, shape (n, `kept_of_umat`); written, or read if `known`. One row is reused.
     - S: written unless `new` is written: flux (Pa), shape (n, d²).
     - A: written unless empty: derivative of the flux by H, shape (n, d², d²).
     - new: written unless empty: stress, total strain (xx, yy, zz, xy, yz, zx), energies; shapes

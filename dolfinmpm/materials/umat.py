@@ -113,7 +113,7 @@ class UMAT(Parametrised):
             raise ParameterError(f"properties = {shown(properties)} must be finite numbers")
         self.properties.flags.writeable = False
         self._first = _first_values(state)
-        self.internal = {key: ("", 0.0) for key in self._first}
+        self.internal = dict.fromkeys(self._first, ("", 0.0))
         if not isinstance(name, str) or len(name) > 80 or not name.isascii():
             raise ParameterError(f"name = {shown(name)} must be at most 80 ASCII characters")
         if isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags):

@@ -121,10 +121,11 @@ def _tangent(law: UMAT, work: Array, components: int, h: float, tolerance: float
     worst = int(np.argmax(gap))
     if gap[worst] <= tolerance:
         return []
-    i, j = np.unravel_index(np.argmax(np.abs(own[worst] - numeric[worst])), (m, m))
+    i, j = divmod(int(np.argmax(np.abs(own[worst] - numeric[worst]))), m)
+    count = int((gap > tolerance).sum())
     return [
         f"{law!r} has a wrong tangent: DDSDDE({i + 1},{j + 1}) = {own[worst, i, j]:g} Pa, but "
-        f"differences of the stress give {numeric[worst, i, j]:g} Pa ({int((gap > tolerance).sum())} "
-        f"of {int(good.sum())} points differ by more than {tolerance:g}). Newton's method then takes "
+        f"differences of the stress give {numeric[worst, i, j]:g} Pa ({count} of "
+        f"{int(good.sum())} points differ by more than {tolerance:g}). Newton's method then takes "
         "more iterations"
     ]

@@ -156,13 +156,13 @@ def _compile(compiler: str, source: Path, flags: tuple[str, ...], work: Path) ->
     common = [compiler, *_FLAGS, *flags, f"-I{source.parent}", f"-I{work}"]
     rest = ["shim.o", str(source), "-lm", "-o", made.name]
     first = _try([*common, *rest], work)
-    if first is not None and source.suffix.lower() in (".f", ".for"):
-        # some vendors' compilers read long lines in fixed form
-        if _try([*common, "-ffixed-line-length-none", *rest], work) is None:
-            return made
-    if first is not None:
-        raise _refused(source, first)
-    return made
+    if first is None:
+        return made
+    # some vendors' compilers read long lines in fixed form
+    fixed = source.suffix.lower() in (".f", ".for")
+    if fixed and _try([*common, "-ffixed-line-length-none", *rest], work) is None:
+        return made
+    raise _refused(source, first)
 
 
 def _try(command: list[str], work: Path) -> str | None:

@@ -38,7 +38,8 @@ def call(task: dict) -> dict:
     sizes = {**task, "ntens2": task["ntens"] ** 2}
     whole = {"NPT": 1, "LAYER": 1, "KSPT": 1, "KINC": 1, "NOEL": 1, "JSTEP": 1}
     whole |= {name: task[name.lower()] for name in ("NDI", "NSHR", "NTENS", "NSTATV", "NPROPS")}
-    arguments, arrays = [], {}
+    arguments: list = []
+    arrays = {}
     for name, size in SIZES:
         if name == "CMNAME":
             arguments.append(ctypes.create_string_buffer(task["name"].ljust(80).encode(), 80))

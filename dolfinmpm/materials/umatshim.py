@@ -79,7 +79,8 @@ __attribute__((weak)) void xit_(void)
     _exit(77); /* in the process that tries a UMAT */
 }}
 
-__attribute__((weak)) void stdb_abqerr_(int *kind, char *text, int *integers, real *reals, char *words, size_t length)
+__attribute__((weak)) void stdb_abqerr_(
+    int *kind, char *text, int *integers, real *reals, char *words, size_t length)
 {{
     if (*kind == -3)
         xit_();
@@ -179,7 +180,8 @@ __attribute__((weak)) void sprinc_(real *s, real *values, int *kind, int *ndi, i
 }}
 
 /* directions(k, :) is the k-th direction, a matrix of Fortran */
-__attribute__((weak)) void sprind_(real *s, real *values, real *directions, int *kind, int *ndi, int *nshr)
+__attribute__((weak)) void sprind_(
+    real *s, real *values, real *directions, int *kind, int *ndi, int *nshr)
 {{
     real t[3][3], v[3][3];
     unpack(s, *kind, *ndi, *nshr, t);

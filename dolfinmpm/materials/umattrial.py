@@ -132,6 +132,4 @@ def _beyond(law: str, argument: str, behind: int, properties: Array, variables) 
     remedy = (
         f"give state={size + behind} or more" if argument == "STATEV" else "give all properties"
     )
-    return (
-        f"{law} writes {at_least} numbers behind the {size} numbers of {argument}: {remedy}"
-    )
+    return f"{law} writes {at_least} numbers behind the {size} numbers of {argument}: {remedy}"

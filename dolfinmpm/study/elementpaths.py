@@ -24,6 +24,7 @@ COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "xz")
 _PATHS = ("isotropic", "oedometer", "triaxial", "undrained triaxial", "simple shear",
           "undrained simple shear")  # fmt: skip
 
+
 @dataclass(frozen=True)
 class Leg:
     """A part of a path, in which six conditions change linearly.
@@ -61,9 +62,7 @@ def _weights(name: Any) -> Array:
     return result
 
 
-def leg(
-    strain: Mapping[str, float | None], stress: Mapping[str, float | None], steps: int
-) -> Leg:
+def leg(strain: Mapping[str, float | None], stress: Mapping[str, float | None], steps: int) -> Leg:
     """A leg of names; components that nothing names keep their strain.
 
     Raises:
@@ -144,9 +143,7 @@ def _own(path: Any, to: Any, steps: int) -> list[Leg]:
             raise ParameterError(
                 f"the leg {shown(part)} must be a dictionary with strain, stress and steps"
             )
-        found.append(
-            leg(part.get("strain", {}), part.get("stress", {}), part.get("steps", steps))
-        )
+        found.append(leg(part.get("strain", {}), part.get("stress", {}), part.get("steps", steps)))
     if to is not None:
         raise ParameterError(
             f"to = {shown(to)} is for paths by name; legs have values of their own"

@@ -84,7 +84,8 @@ class ElementPoint:
         usual = "jaumann" if isinstance(law, UMAT) else "large"
         self.kind = choice("strain", usual if kind is None else kind, ("large", "small", "jaumann"))
         self.law = law
-        self.strain, self.motion = np.zeros(6), np.zeros((3, 3))
+        self.strain: Array = np.zeros(6)
+        self.motion: Array = np.zeros((3, 3))
         grid = create_lattice(MPI.COMM_SELF, [[0.0, 1.0]] * 3)
         self._points = fill(grid, Box((0, 0, 0), (1, 1, 1)), per_cell=1, density=1.0)
         self._formulation: Any = None

@@ -48,8 +48,8 @@ def element_test(
 
     - "isotropic": equal strains in all directions; `to` is the volume strain or the mean stress.
     - "oedometer": no strain in x and z; `to` is the strain or the stress along y.
-    - "triaxial": constant stress along x, equal strains along x and z; `to` is the strain along y, or the difference
-      σ_yy − σ_xx.
+    - "triaxial": constant stress along x, equal strains along x and z; `to` is the strain along
+      y, or the difference σ_yy − σ_xx.
     - "undrained triaxial": the same with constant volume.
     - "simple shear": shear strain γ_xy or stress σ_xy at constant σ_yy, no strain in x and z.
     - "undrained simple shear": the same without any normal strain.
@@ -129,7 +129,7 @@ def _present(leg: Leg, point: ElementPoint) -> Array:
 def _go(leg: Leg, point: ElementPoint, begin: Array, end: Array) -> None:
     """Take one step, in parts where a whole step does not converge."""
     done, share = 0.0, 1.0
-    guess = np.zeros(6)
+    guess: Array = np.zeros(6)
     while done < 1.0 - 1e-12:
         target = begin + (end - begin) * min(done + share, 1.0)
         found = _solve(leg, point, target, guess)
@@ -137,7 +137,7 @@ def _go(leg: Leg, point: ElementPoint, begin: Array, end: Array) -> None:
             share *= 0.5
             guess = np.zeros(6)
             if share < _LEAST:
-                names = dict(zip(COMPONENTS, point.strain.round(9).tolist()))
+                names = dict(zip(COMPONENTS, map(float, point.strain.round(9))))
                 raise StateError(
                     f"the element test of {point.law!r} ends at the strain {names} and the stress "
                     f"{point.stress.tolist()} Pa: {found}. Prescribe strains instead of stresses "

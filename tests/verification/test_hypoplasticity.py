@@ -85,7 +85,11 @@ def tensors(test):
 @pytest.mark.parametrize("intergranular", [True, False])
 @pytest.mark.parametrize(
     "strains",
-    [{"yy": -0.02}, {"yy": -0.02, "xx": 0.008, "zz": 0.009}, {"xx": 0.0012, "yy": -0.002, "xy": 0.004}],
+    [
+        {"yy": -0.02},
+        {"yy": -0.02, "xx": 0.008, "zz": 0.009},
+        {"xx": 0.0012, "yy": -0.002, "xy": 0.004},
+    ],
     ids=["oedometer", "dilating", "sheared"],
 )
 def test_paths_are_those_of_an_independent_integration(strains, intergranular):
