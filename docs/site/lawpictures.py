@@ -89,7 +89,8 @@ def write_page(write: Any, source: Path, runs: bool) -> None:
         "Each law goes through the same tests at a first pressure of 100 kPa, by",
         "{func}`dolfinmpm.study.element_test`: triaxial compression to 10 % of axial strain,",
         "drained and undrained; an oedometer with unloading; and simple shear with turns.",
-        "The build of the site draws the pictures. [How to take a law through a test](../howto/umat.md).",
+        "The build of the site draws the pictures.",
+        "[How to take a law through a test](../howto/umat.md).",
         "",
     ]
     for name, (text, law) in laws().items():
