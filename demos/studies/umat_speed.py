@@ -3,9 +3,9 @@
 #
 # Every point strains by a random increment, so that the von Mises law of demos/umat/mises.f yields
 # almost everywhere. Three figures count: calls of the subroutine alone, which computes stress and
-# DDSDDE; the flux with its tangent, as a Newton iteration needs it; and the flux alone. The built-in
-# law under Jaumann's rate is measured in turn with it. What counts is the time of this process, and
-# medians are told, since the machine may have other work.
+# DDSDDE; the flux with its tangent, as a Newton iteration needs it; and the flux alone. The
+# built-in law under Jaumann's rate is measured in turn with it. What counts is the time of this
+# process, and medians are told, since the machine may have other work.
 
 # %%
 from __future__ import annotations

@@ -335,10 +335,11 @@ def umat_kernel(d: int, components: int):
                 for j in range(d):
                     to = i * d + j
                     for c in range(dd):
-                        total = 0.0
-                        for k in range(d):
-                            total += full[i, k, c] * Fi[j, k]
-                        A[p, to, c] = J * total
+                        A[p, to, c] = 0.0
+                    for k in range(d):
+                        factor = J * Fi[j, k]
+                        for c in range(dd):
+                            A[p, to, c] += factor * full[i, k, c]
                     for r in range(d):
                         for s in range(d):
                             # derivatives of det ΔF and of ΔF⁻ᵀ
