@@ -109,6 +109,8 @@ class MaterialPoints(PointTable):
         inertia: Derivative of the body's acceleration by the increment (1/s²), a constant for UFL
             that `Newmark` and `GeneralisedAlpha` set; see `mpm.acceleration`.
         revision: Number of changes of the rows of the arrays.
+        interval: Start and length of the present step (s), or shares of a step without time; a
+            law that asks for time, such as a UMAT, reads it.
         restored: Number of replacements of all rows by the rows of a checkpoint.
         partition: Rank that computes the points in a cell; None for the owner in DOLFINx's mesh.
         overlapping: Whether points may fill cells more than once, such as two phases of a mixture.
@@ -168,6 +170,7 @@ class MaterialPoints(PointTable):
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
         self.restored = 0
+        self.interval = 0.0, 1.0
         self.partition: Partition | None = None
         bounds(grid)  # the first call is collective
 

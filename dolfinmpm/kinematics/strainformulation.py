@@ -47,6 +47,7 @@ class StrainFormulation:
             Cauchy stress.
         state: Name of the field of the elastic strain.
         rest: Value of this field without elastic strain.
+        from_stress: True if the state of the law is the field `stress` itself.
 
     Args:
         law: Constitutive law.
@@ -59,6 +60,7 @@ class StrainFormulation:
     state: str
     rest: tuple[float, ...]
     functions: type[StrainFunctions]
+    from_stress = False
 
     def __init__(self, law: Law, points: MaterialPoints, tags: Tags = None):
         self.law = law
@@ -82,10 +84,7 @@ class StrainFormulation:
         self._parameters.adopt()
         points, rows = self.points, self.rows
         points.add_field(self.state, (6,), "", self.rest)
-        parameters = self.parameters(rows)
-        first = np.broadcast_to(
-            self.law.first_internal(parameters), (len(rows), len(self.law.internal))
-        )
+        first = np.broadcast_to(self.first_internal(rows), (len(rows), len(self.law.internal)))
         for k, (name, (unit, _)) in enumerate(self.law.internal.items()):
             # whether a point has a value already: laws differ in their first values
             known = f"has_{name}"
@@ -96,6 +95,10 @@ class StrainFormulation:
             new = points[known][rows] == 0
             points[name][rows[new]] = first[new, k]
             points[known][rows] = 1
+
+    def first_internal(self, rows: Rows) -> Array:
+        """First values of the internal variables at some points, shape (1 or rows, variables)."""
+        return self.law.first_internal(self.parameters(rows))
 
     def parameters(self, rows: Rows | slice) -> Array:
         """The law's parameters at some points, shape (1, parameters).

@@ -338,6 +338,8 @@ class Problem(ReadOnce):
             step: The step or substep; by default a whole step.
         """
         share = 1.0 if step is None else step.share
+        if step is not None:
+            self.points.interval = step.t - step.dt, step.dt
         if step is not None and self.here is None and not self.scheme.in_time:
             refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
