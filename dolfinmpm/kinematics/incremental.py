@@ -139,8 +139,13 @@ class Incremental(StrainFormulation):
         tangent: Array | None,
         rows: Rows,
         kept: KeptTangents | None = None,
+        end: tuple[Array, Array, Array] | None = None,
     ) -> int:
-        """Compute the flux S (Pa) and its derivative by ∇ũ; see `KeepingLaw`."""
+        """Compute the flux S (Pa) and its derivative by ∇ũ; see `KeepingLaw`.
+
+        `commit` writes the state at the end of the step, so that `end` is not used.
+        """
+        assert end is None
         if len(rows) == 0:
             return -1
         A = np.empty((0, 1, 1)) if tangent is None else tangent

@@ -8,6 +8,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import FieldShapeError, ParameterError, PointsOutsideGridError
 
 KINDS = ("plane", "axisymmetric", "solid")
 
