@@ -26,7 +26,9 @@ class _Near:
         """See `dolfinmpm.basis.refinement.CellSize`."""
         if not len(low):
             return np.empty(0)
-        gap = self._body.surface.probe(np.ascontiguousarray(0.5 * (low + high)))[0]
+        # the surface is that of the body where it was made
+        x = self._body.start.back(0.5 * (low + high))
+        gap = self._body.surface.probe(np.ascontiguousarray(x))[0]
         apart = np.abs(gap) - 0.5 * np.linalg.norm(high - low, axis=1)
         return np.maximum(self._size, self._growth * (apart - self._reach))
 
@@ -35,7 +37,7 @@ def near(body: Any, size: float, *, reach: float | None = None, growth: float = 
     """Cells of a size near a rigid body, for `Space(refine=...)`; they grow with distance.
 
     The size wanted at a distance a from the surface of the body is max(size, growth (a − reach)).
-    The surface is where the body is now, so that the cells follow the body.
+    The surface is where the body is at the start of a step, so that the cells follow the body.
 
     Args:
         body: A rigid body.

@@ -85,7 +85,8 @@ class ExplicitCall:
         touched = memory.touched(problem.points)
         if touched:
             raise_together(problem.comm, problem.points.fault())
-        self._record.adapted = adapt(problem)
+        adapted = adapt(problem)
+        self._record.split, self._record.merged = adapted.split, adapted.merged
         self._record.migrated += balance(problem.points)
         if touched & _KINETIC or not problem.ledger.started:
             problem.ledger.begin()

@@ -231,7 +231,8 @@ class QuasiStatic(Problem):
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()
-        record.adapted = adapt(self)
+        adapted = adapt(self)
+        record.split, record.merged = adapted.split, adapted.merged
         done, share, whole, eased = 0.0, self.share, False, False
         try:
             while done < 1.0:

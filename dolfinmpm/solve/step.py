@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from dolfinmpm._platform.html import listing
-from dolfinmpm.solve.adaptation import Adaptation
 
 __all__ = ["Failed", "Step", "StepRecord"]
 
@@ -62,7 +61,8 @@ class StepRecord:
             before them. "output" is the time of writing files before the next step. The stages
             add up to the whole step, except for reading the loads and choosing the length of
             steps. Empty unless `measure_stages` or PETSc's log is on.
-        adapted: Points that split and merged before the step, with refined spaces.
+        split, merged: Numbers of points that split, and of families that merged, before the step;
+            see `Problem.adapt`.
         bodies: Name of a rigid body → "position" of its centre (m), "angle" (degrees), and "force"
             (N) and "moment" (N m) of the points on the body. Also name of a contact between
             deformable bodies → "force" (N) on the first body.
@@ -78,7 +78,8 @@ class StepRecord:
     imbalance: float = 1.0
     seconds: float = 0.0
     stages: dict[str, float] = field(default_factory=dict)
-    adapted: Adaptation = field(default_factory=Adaptation)
+    split: int = 0
+    merged: int = 0
     bodies: dict[str, dict[str, list[float]]] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:

@@ -177,3 +177,66 @@ def test_integrals_over_the_grid_are_refused():
     F += mpm.soft(points, u, v, E=1e6, nu=0.3, eta=1e-3)
     with pytest.raises(mpm.errors.UnsupportedGridError, match="do not know the leaves"):
         mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom")).step()
+
+
+def test_points_split_and_merge_with_the_leaves():
+    grid, place = lattice(2), [1.0]
+
+    def size(x):
+        return np.where(np.abs(x[0] - place[0]) < 0.4, 0.25, 1.0)
+
+    V = mpm.Space(grid, "gimp", refine=size, levels=2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=1e3)
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+    mass, number = float(points["density"] @ points["V0"]), len(points)
+    first = problem.adapt()
+    assert first.split > 0
+    inside = np.abs(points["x"][:, 0] - 1.0) < 0.3
+    assert points["l"][inside].max() <= 0.0625 * (1 + 1e-9)
+    # nothing changes at the same place
+    assert problem.adapt().split == 0
+    refined, place[0] = len(points), 9.0
+    assert problem.step().merged > 0
+    assert number <= len(points) < refined
+    assert float(points["density"] @ points["V0"]) == pytest.approx(mass, rel=1e-13)
+
+
+def test_cells_follow_a_rigid_body():
+    grid = lattice(2)
+    ball = mpm.RigidBody(mpm.Ball((2, 2.8), 0.5), increment=(0, -0.2))
+    fine = mpm.near(ball, size=0.25, reach=0.2)
+    V = mpm.Space(grid, "gimp", refine=fine, levels=2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=1e3, refine=V)
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    F += mpm.contact(ball, points, u, v)
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=mpm.Stabilisation("ghost"))
+    splits = [problem.step().split for _ in range(5)]
+    assert sum(splits) > 0
+    assert ball.force[1] > 0
+    apart = np.linalg.norm(points["x"] - ball.position, axis=1) - 0.5
+    assert points["l"][apart < 0.1].max() < 0.09
+
+
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation"])
+def test_condition_is_bounded_with_leaves_of_two_sizes_in_the_cut(stabilisation):
+    rng, found = np.random.default_rng(0), []
+    for k in range(12):
+        grid, centre = lattice(2), rng.uniform(1, 3, (2, 1))
+        centre[1] = 2.3
+
+        def size(x, centre=centre):
+            return np.where(np.linalg.norm(x - centre, axis=0) < 0.6, 0.25, 1.0)
+
+        V = mpm.Space(grid, "gimp", refine=size, levels=2)
+        top = 2.0 + 10 ** rng.uniform(-4, -0.3) if k % 2 else rng.uniform(2.01, 2.9)
+        points = mpm.fill(grid, mpm.Box((0, 0), (4, top)), per_cell=2, density=1e3, refine=V)
+        F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        kind = mpm.Stabilisation(stabilisation)
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=kind)
+        found.append(mpm.study.condition_number(problem.stiffness()))
+    assert max(found) / min(found) < 20
