@@ -132,12 +132,13 @@ class EssentialConditions:
         fixed, values = [], []
         error: Exception | None = None
         for space, basis in zip(self._spaces, bases):
-            base = basis if isinstance(basis, LeafBasis) else space.basis
+            leaves = isinstance(basis, LeafBasis)
+            base = basis if leaves else space.basis
             shape = (base.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
             error = self._apply(space, base, share, flags, numbers) or error
-            fixed.append(flags if base is basis else renumbered(flags, base, basis))
-            values.append(numbers if base is basis else renumbered(numbers, base, basis))
+            fixed.append(flags if leaves else renumbered(flags, base, basis))
+            values.append(numbers if leaves else renumbered(numbers, base, basis))
         raise_together(self._spaces[0].grid.comm, error)
         while len(self._fixed) > _KEPT:
             del self._fixed[next(iter(self._fixed))]
