@@ -12,6 +12,7 @@ centrifuge. No strain is horizontal, and equilibrium alone gives the vertical st
 the settlement.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ import dolfinmpm as mpm
 
 # PROPS and STATEV are listed at the top of the source. Each state variable gets a name and a first
 # value, and becomes a field of the points: it is saved, drawn and moved between ranks.
-source = Path(__file__).parent / "umat" / "hypoplasticity.f90"
+source = Path(sys.argv[0]).parent / "umat" / "hypoplasticity.f90"
 sand = [33.0, 1e9, 0.25, 0.55, 0.95, 1.05, 0.25, 1.5, 1e-4, 5.0, 2.0, 0.5, 6.0, 0.0, 1e-5]
 history = {f"intergranular_{k}": 0.0 for k in ("11", "22", "33", "12", "13", "23")}
 law = mpm.materials.UMAT(source, sand, history | {"void_ratio": 0.75})
