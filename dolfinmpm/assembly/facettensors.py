@@ -9,7 +9,7 @@ integrals over the edges of a cell.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -301,6 +301,15 @@ class FacetTensors:
                 first, second = part.keys[0][r], part.keys[1][s]
                 self._add(total, place, first, second, part.gauss, blocks[r, s])
         return total
+
+    def parts(self, place: Any, moduli: Sequence[FacetModulus]) -> Array:
+        """Tensors of a facet: without moduli, and per modulus, shape (1 + moduli, m, m, n)."""
+        base = self(place)
+        slopes = [self(place, one) for one in moduli]
+        most = max(t.shape[2] for t in (base, *slopes))
+        one = np.eye(self._components).ravel()
+        tensors = [t * one if t.shape[2] < most else t for t in (base, *slopes)]
+        return np.array([tensors[0], *(t - tensors[0] for t in tensors[1:])])
 
     def _zeros(self, place: Any, pairs: int) -> Array:
         functions = [self._degree + 1 + (d == place.direction) for d in range(len(place.lines))]

@@ -244,9 +244,10 @@ class GridAssembler:
         return {pair for pair, block in blocks.items() if isinstance(block, FacetBlock)}
 
     @property
-    def spline_blocks(self) -> list[FacetBlock]:
-        """Blocks over facets between splines; empty before the first tangent."""
-        return [b for b in (self._jacobian or {}).values() if isinstance(b, FacetBlock)]
+    def facet_blocks(self) -> list[FacetBlock | LeafFacetBlock]:
+        """Blocks with kept tensors of facets; empty before the first tangent."""
+        kinds = FacetBlock, LeafFacetBlock
+        return [b for b in (self._jacobian or {}).values() if isinstance(b, kinds)]
 
     def _blocks(self) -> dict[tuple[int, int], _Bilinear]:
         if self._jacobian is None:

@@ -6,6 +6,7 @@ nodes join them afterwards. The size of the cells is that of the smaller leaf.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -91,6 +92,47 @@ def _linear(box: tuple[Array, Array], d: int, x: Array, order: int) -> Array:
     return np.column_stack([np.full(x.size, -slope), np.full(x.size, slope)])
 
 
+@dataclass(frozen=True)
+class _LeafFacets:
+    """Facets of the integration, and entries of the matrix.
+
+    Attributes:
+        kind: Class of each facet, shape (facets,).
+        keys: Key of each class, that of facets between leaves of the same sizes and places.
+        places: One facet of each class.
+        rows, columns: Nodes of the entries.
+        entry: Entry of each pair of functions of each facet, shape (facets, m, m) flattened.
+    """
+
+    kind: npt.NDArray[np.intp]
+    keys: list[tuple[float, bytes]]
+    places: list[_LeafFacet]
+    rows: Ints
+    columns: Ints
+    entry: npt.NDArray[np.intp]
+
+    @classmethod
+    def of(cls, facets: Ints, basis: LeafBasis) -> _LeafFacets:
+        """The facets with these rows (cell, local facet, cell, local facet)."""
+        low, high = basis.cell_corners()
+        first, second = facets[:, 0], facets[:, 2]
+        sizes = np.hstack([high[first] - low[first], high[second] - low[second]])
+        scale = float((high - low).max(initial=0.0)) or 1.0
+        shape = np.round(np.hstack([sizes, low[first] - low[second]]) / scale * 1e9)
+        codes = np.hstack([facets[:, 1:2], shape]).astype(np.int64)
+        codes, example, kind = np.unique(codes, axis=0, return_index=True, return_inverse=True)
+        places = [
+            _LeafFacet(((low[a], high[a]), (low[b], high[b])), int(side // 2), bool(side % 2 == 0))
+            for a, side, b, _ in facets[example]
+        ]
+        nodes = np.hstack([basis.corner_nodes[first], basis.corner_nodes[second]]).astype(np.int64)
+        pairs, number = nodes[:, :, None] * basis.nodes.size + nodes[:, None, :], basis.nodes.size
+        keys, entry = np.unique(pairs, return_inverse=True)
+        rows, columns = (part.astype(np.int32) for part in np.divmod(keys, max(number, 1)))
+        found = [(scale, code.tobytes()) for code in codes]
+        return cls(kind.ravel(), found, places, rows, columns, entry.ravel())
+
+
 class LeafFacetBlock:
     """A bilinear form over ghost facets between leaves.
 
@@ -101,7 +143,6 @@ class LeafFacetBlock:
     Attributes:
         constants: Constants of the form.
         moduli: Moduli of facets in the form.
-        rows, columns: Nodes of each block, after `attach`.
 
     Raises:
         UnsupportedGridError: The form is no form over ghost facets alone, varies along a facet, or
@@ -124,7 +165,7 @@ class LeafFacetBlock:
             )
         self._tensors: dict[tuple[float, bytes], Array] = {}
         self._values: Array | None = None
-        self._facets: Ints | None = None
+        self._facets: _LeafFacets | None = None
         self._basis: LeafBasis | None = None
 
     @property
@@ -149,74 +190,77 @@ class LeafFacetBlock:
         """
         if self._facets is not None and basis is self._basis:
             return
-        self._basis, facets = basis, entities[GHOST_FACETS].reshape(-1, 4)
-        self._facets = facets
-        low, high = basis.cell_corners()
-        first, second = facets[:, 0], facets[:, 2]
-        sizes = np.hstack([high[first] - low[first], high[second] - low[second]])
-        apart = low[first] - low[second]
-        scale = (high - low).max(initial=0.0) or 1.0
-        shape = np.round(np.hstack([sizes, apart]) / scale * 1e9).astype(np.int64)
-        codes = np.hstack([facets[:, 1:2].astype(np.int64), shape])
-        self._codes, example, kind = np.unique(
-            codes, axis=0, return_index=True, return_inverse=True
-        )
-        self._kind, self._scale = kind.ravel(), scale
-        self._places = [self._place(facets[f], low, high) for f in example]
-        nodes = np.hstack([basis.corner_nodes[first], basis.corner_nodes[second]])
-        m = nodes.shape[1]
-        pairs = np.stack([np.repeat(nodes, m, axis=1).ravel(), np.tile(nodes, m).ravel()])
-        number = basis.nodes.size
-        keys, self._at = np.unique(pairs[0].astype(np.int64) * number + pairs[1],
-                                   return_inverse=True)  # fmt: skip
-        self._at = self._at.ravel()
-        self.rows = (keys // max(number, 1)).astype(np.int32)
-        self.columns = (keys % max(number, 1)).astype(np.int32)
+        self._basis = basis
+        self._facets = _LeafFacets.of(entities[GHOST_FACETS].reshape(-1, 4), basis)
 
-    @staticmethod
-    def _place(row: Ints, low: Array, high: Array) -> _LeafFacet:
-        first, second = row[0], row[2]
-        boxes = (low[first], high[first]), (low[second], high[second])
-        return _LeafFacet(boxes, int(row[1] // 2), row[1] % 2 == 0)
+    @property
+    def facets(self) -> _LeafFacets:
+        """The facets of the integration."""
+        assert self._facets is not None
+        return self._facets
+
+    @property
+    def rows(self) -> Ints:
+        """Nodes of the rows of the blocks."""
+        return self.facets.rows
+
+    @property
+    def columns(self) -> Ints:
+        """Nodes of the columns of the blocks."""
+        return self.facets.columns
 
     def matrix(self) -> Array:
         """This rank's share of the matrix, one block per entry of `rows` and `columns`."""
         values = np.concatenate([np.empty(0), *(np.ravel(c.value) for c in self.constants)])
         if self._values is None or not np.array_equal(values, self._values):
             self._values, self._tensors = values, {}
-        c, parts = self._space.components, 1 + len(self.moduli)
-        tensors = []
-        for code, place in zip(self._codes, self._places):
-            key = self._scale, code.tobytes()
+        c, facets, tensors = self._space.components, self.facets, []
+        for key, place in zip(facets.keys, facets.places):
             if key not in self._tensors:
-                self._tensors[key] = self._tensor(place)
+                self._tensors[key] = self._tensor_of.parts(place, self.moduli)
             tensors.append(self._tensors[key])
-        assert self._facets is not None
-        scale: Array = np.ones((len(self._facets), parts))
+        scale: Array = np.ones((facets.kind.size, 1 + len(self.moduli)))
         for k, modulus in enumerate(self.moduli):
             modulus.values = modulus.moduli[:, 0].copy()
             scale[:, 1 + k] = modulus.values
         pairs = max((t.shape[-1] for t in tensors), default=1)
         tensors = [t * np.eye(c).ravel() if t.shape[-1] < pairs else t for t in tensors]
-        sums = np.zeros((self.rows.size, pairs))
+        sums = np.zeros((facets.rows.size, pairs))
         for k, tensor in enumerate(tensors):
-            of = np.flatnonzero(self._kind == k)
+            of = np.flatnonzero(facets.kind == k)
             m = tensor.shape[1]
             each = np.einsum("fp,pabq->fabq", scale[of], tensor).reshape(-1, pairs)
-            at = self._at.reshape(-1, m * m)[of].ravel()
+            at = facets.entry.reshape(-1, m * m)[of].ravel()
             for q in range(pairs):
                 sums[:, q] += np.bincount(at, each[:, q], minlength=len(sums))
         if pairs == 1:
             return sums[:, :, None] * np.eye(c)
         return sums.reshape(-1, c, c)
 
-    def _tensor(self, place: _LeafFacet) -> Array:
-        """Tensors of a facet: without moduli, and per modulus, shape (1 + moduli, m, m, n)."""
-        base = self._tensor_of(place)
-        slopes = [self._tensor_of(place, one) for one in self.moduli]
-        most, c = max(t.shape[2] for t in (base, *slopes)), self._space.components
-        tensors = [t * np.eye(c).ravel() if t.shape[2] < most else t for t in (base, *slopes)]
-        return np.array([tensors[0], *(t - tensors[0] for t in tensors[1:])])
+    def state(self) -> dict[str, npt.NDArray]:
+        """The tensors kept: rounding differs between the facets that a class was integrated on."""
+        if self._values is None or not self._tensors:
+            return {}
+        tensors = list(self._tensors.values())
+        return {
+            "constants": self._values,
+            "scales": np.array([scale for scale, _ in self._tensors]),
+            "codes": np.array([np.frombuffer(code, np.int64) for _, code in self._tensors]),
+            "pairs": np.array([t.shape[-1] for t in tensors], np.int64),
+            "tensors": np.concatenate([t.ravel() for t in tensors]),
+        }
+
+    def set_state(self, state: dict[str, npt.NDArray]) -> None:
+        """Keep the tensors that `state` returned, and no others."""
+        self._values, self._tensors = state.get("constants"), {}
+        m, start = 2 * 2**self._space.grid.geometry.dim, 0
+        of_all = (state.get(name, ()) for name in ("scales", "codes", "pairs"))
+        for scale, code, pairs in zip(*of_all):
+            shape = 1 + len(self.moduli), m, m, int(pairs)
+            end = start + math.prod(shape)
+            tensor = state["tensors"][start:end].reshape(shape).copy()
+            self._tensors[float(scale), np.ascontiguousarray(code).tobytes()] = tensor
+            start = end
 
 
 def check_on_leaves(form: ufl.Form, space: Space) -> None:

@@ -22,8 +22,8 @@ from dolfinmpm.basis.stencils import Placement, Stencils, running_sum
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 from dolfinmpm.grid.leafnodes import LeafNodes
-from dolfinmpm.grid.leafsearch import SNAP
 from dolfinmpm.grid.leaves import Leaves
+from dolfinmpm.grid.linecells import SNAP
 from dolfinmpm.grid.partition import Partition
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class LeafBasis:
         every = LeafNodes.of(leaves)
         known = self._known(every)
         self._number(every, *known)
-        self._low, self._high = leaves.tree.corners(leaves.node[self.leaf])
+        self._box = leaves.tree.corners(leaves.node[self.leaf])
         self._node_x = np.zeros((self.nodes.size, 3))
         self._node_x[:, : self.fine.shape[1]] = leaves.tree.coordinates(self.fine)
         self._node_x.flags.writeable = False
@@ -125,7 +125,6 @@ class LeafBasis:
         self.fine = every.fine[chosen]
         self.hanging: sparse.csr_matrix = every.matrix[chosen][:, chosen].tocsr()
         self.hanging.sort_indices()
-        self.hangs = every.hanging[chosen]
         self._cell_of = np.full(len(self.leaves.node), -1, np.int32)
         self._cell_of[self.leaf] = np.arange(self.leaf.size, dtype=np.int32)
 
@@ -135,12 +134,18 @@ class LeafBasis:
 
     def cell_corners(self) -> tuple[Array, Array]:
         """Lower and upper corners of the cells (m), both of shape (cells, gdim)."""
-        return self._low, self._high
+        return self._box
 
     def cell_sizes(self) -> Array:
         """Sizes of the cells (m): d-th roots of their volumes, shape (cells,)."""
-        edges = self._high - self._low
+        low, high = self._box
+        edges = high - low
         return np.asarray(np.prod(edges, axis=1) ** (1 / edges.shape[1]))
+
+    @property
+    def hangs(self) -> npt.NDArray[np.bool_]:
+        """Mask of the hanging nodes, shape (nodes,)."""
+        return np.asarray(self.hanging.diagonal() == 0.0)
 
     def node_sizes(self) -> Array:
         """Size of the smallest known cell at each node (m), shape (nodes,)."""
@@ -197,10 +202,11 @@ class LeafBasis:
 
         See `LatticeBasis`. Collective.
         """
-        h = self._high[cells] - self._low[cells]
+        low, high = (corner[cells] for corner in self._box)
+        h = high - low
         lower = self.lattice.lines
         inside = np.column_stack([x[:, d] > lower[d][0] + 0.5 * h[:, d] for d in range(x.shape[1])])
-        on = inside & (x - self._low[cells] < SNAP * h)
+        on = inside & (x - low < SNAP * h)
         some = on.any(axis=1)
         if not self.grid.comm.allreduce(bool(some.any()), op=MPI.LOR):
             return cells
@@ -247,8 +253,8 @@ class LeafBasis:
         value_start = running_sum(each * np.diff(groups), np.int64)
         N, dN = np.empty(value_start[-1]), np.empty((value_start[-1], x.shape[1]))
         fill_stencils(
-            np.ascontiguousarray(x), np.ascontiguousarray(half), axisymmetric, self._low,
-            self._high, *graph, node_start, nodes, value_start, N, dN,
+            np.ascontiguousarray(x), np.ascontiguousarray(half), axisymmetric, *self._box,
+            *graph, node_start, nodes, value_start, N, dN,
         )  # fmt: skip
         head = order[groups[:-1]]
         cell_start = running_sum(np.diff(begin)[head], np.int32)

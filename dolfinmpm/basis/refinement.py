@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -15,7 +15,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.latticebasis import LatticeBasis
 from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.stencils import Placement
-from dolfinmpm.grid.lattice import Lattice, largest_cell, require_lattice, smallest_height
+from dolfinmpm.grid.lattice import Lattice, require_lattice
 from dolfinmpm.grid.leaves import Leaves, leaves_of
 from dolfinmpm.grid.partition import Partition
 from dolfinmpm.grid.userfunctions import call_function
@@ -25,10 +25,7 @@ __all__ = [
     "CellSize",
     "Refinement",
     "SizeAt",
-    "cells_around",
-    "finest_cell",
     "refinement_of",
-    "sizes_at",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -130,6 +127,19 @@ class Refinement:
         """Let cells that are split now stay split unless clearly larger ones are wanted."""
         self._held = self.leaves
 
+    def state(self) -> dict[str, Any]:
+        """The leaves held, as lowest lines and sizes; the same on all ranks."""
+        if self._held is None:
+            return {}
+        return {"low": self._held.low, "size": self._held.size}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Restore a state returned by `state`."""
+        self._held, self.leaves, self._bases = None, None, {}
+        if "low" in values:
+            low, size = (np.asarray(values[name], np.int32) for name in ("low", "size"))
+            self._held = Leaves.restored(self.lattice, self.levels, low, size)
+
     def leaves_for(self, where: Placement, averaged: bool) -> Leaves:
         """The leaves for some points. Collective.
 
@@ -184,51 +194,3 @@ def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:
         # the arguments stay alive with the result, so that their ids stay theirs
         known[key] = every, Refinement(grid, _sizes(refine), levels)
     return known[key][1]
-
-
-def _refinements(grid: Mesh) -> list[Refinement]:
-    """The refinements of spaces on a grid."""
-    return [made for _, made in grid.__dict__.get("_dolfinmpm_refinements", {}).values()]
-
-
-def finest_cell(grid: Mesh) -> float:
-    """Least height of a cell of the grid, or of the leaves of a space on it (m). Collective."""
-    depth = max((one.depth for one in _refinements(grid)), default=0)
-    return smallest_height(grid) / 2**depth
-
-
-def sizes_at(grid: Mesh, x: Array) -> Array:
-    """Sizes of the cells at positions x (m), shape (n,). Collective.
-
-    Without leaves the size is that of the largest cell of the grid. With leaves of several spaces
-    the smallest one counts.
-    """
-    sizes = np.full(len(x), largest_cell(grid))
-    for one in _refinements(grid):
-        if one.leaves is not None:
-            found = one.leaves.smallest(np.ascontiguousarray(x), np.zeros_like(x))
-            sizes = np.minimum(sizes, found)
-    return sizes
-
-
-def cells_around(grid: Mesh, x: Array) -> tuple[Array, Array]:
-    """Corners of the cells at positions x (m), both of shape (n, gdim).
-
-    With leaves of several spaces they are those of the smallest leaf.
-
-    Args:
-        grid: Background grid, rectangular.
-        x: Positions (m), shape (n, gdim).
-    """
-    lattice = require_lattice(grid, "cells around positions")
-    ijk = lattice.cells_at(x)
-    ends = [(line[i], line[i + 1]) for line, i in zip(lattice.lines, ijk.T)]
-    low, high = (np.column_stack(side) for side in zip(*ends))
-    for one in _refinements(grid):
-        if one.leaves is None or not len(x):
-            continue
-        _, leaf = one.leaves.overlapped(np.ascontiguousarray(x), np.zeros_like(x))
-        a, b = one.leaves.tree.corners(one.leaves.node[leaf])
-        smaller = (leaf >= 0) & (np.prod(b - a, axis=1) < np.prod(high - low, axis=1))
-        low[smaller], high[smaller] = a[smaller], b[smaller]
-    return low, high

@@ -29,6 +29,7 @@ from dolfinmpm.grid.lattice import (
     leaf_size,
     once_per_grid,
     require_lattice,
+    smallest_height,
 )
 from dolfinmpm.grid.serialnumbers import next_number
 
@@ -348,8 +349,18 @@ class Space:
         return refinement_of(self.grid, refine, levels)
 
     @property
+    def finest_cell(self) -> float:
+        """Least height of a cell, or of the leaves that refinement can make (m). Collective."""
+        depth = 0 if self.refinement is None else self.refinement.depth
+        return smallest_height(self.grid) / 2**depth
+
+    @property
     def cell_size(self) -> fem.Constant | fem.Function:
-        """Size of this field's cells for UFL (m), see `dolfinmpm.cell_size`. Collective."""
+        """Size of this field's cells for UFL (m), see `dolfinmpm.cell_size`. Collective.
+
+        In a refined space it has the sizes of leaves in terms over ghost facets only. In sums over
+        points it has the sizes of the grid's own cells.
+        """
         if self.refinement is not None:
             return leaf_size(self.grid)
         if self.coarsen == 1:

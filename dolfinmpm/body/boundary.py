@@ -196,7 +196,7 @@ class Boundary:
             rule: Gauss points per piece of a segment in a cell.
             spacing: Greatest length of a piece (m). By default the cells of a rectangular grid
                 cut the pieces, and half a cell is the limit on other grids. Give a spacing for
-                bodies that move far, or for grids with a moving fine zone.
+                bodies that move far, for grids with a moving fine zone, and for refined spaces.
 
         Raises:
             UnsupportedGridError: The grid is not in two dimensions.

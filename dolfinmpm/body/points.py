@@ -109,8 +109,7 @@ class MaterialPoints(PointTable):
         inertia: Derivative of the body's acceleration by the increment (1/s²), a constant for UFL
             that `Newmark` and `GeneralisedAlpha` set; see `mpm.acceleration`.
         revision: Number of changes of the rows of the arrays.
-        interval: Start and length of the present step (s), or shares of a step without time; a
-            law that asks for time, such as a UMAT, reads it.
+        interval: Start and length of the present step (s), or shares of a step, for laws of time.
         restored: Number of replacements of all rows by the rows of a checkpoint.
         partition: Rank that computes the points in a cell; None for the owner in DOLFINx's mesh.
         overlapping: Whether points may fill cells more than once, such as two phases of a mixture.

@@ -16,7 +16,6 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind, choice
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.term import Term, as_form
-from dolfinmpm.basis.refinement import finest_cell
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
@@ -104,7 +103,7 @@ class RigidContact(Term):
         points.add_field(names.modulus, (), "Pa")
         if self._cell is None:
             # a regridded grid must not change the stiffness of the contact
-            self._cell = finest_cell(points.grid)
+            self._cell = self.u._dolfinmpm_space.finest_cell
         E = points[names.modulus]
         new = E == 0.0
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):

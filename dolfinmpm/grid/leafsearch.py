@@ -10,19 +10,20 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from dolfinmpm.grid.linecells import SNAP, cell_of
+
 __all__ = [
     "ROOM",
-    "SNAP",
     "coordinate",
     "leaf_at",
     "leaves_in",
     "mark_touched",
     "node_at",
+    "nodes_at",
     "overlaps_of",
+    "too_coarse",
 ]
 
-# Share of a cell that is a rounding error; the same as for stencils on uniform grids
-SNAP = 1e-10
 # Largest number of leaves in the domain of a point
 ROOM = 4096
 
@@ -41,17 +42,9 @@ def coordinate(lines, start, levels, d, k):
 @numba.njit(cache=True, error_model="numpy")
 def _root_cell(lines, start, d, x):
     """Root that contains a coordinate, in one direction; the nearest root outside the grid."""
-    first, n = start[d], start[d + 1] - start[d] - 1
-    cell, end = -1, n + 1
-    while end - cell > 1:
-        middle = (cell + end) // 2
-        if lines[first + middle] <= x:
-            cell = middle
-        else:
-            end = middle
-    cell = min(max(cell, 0), n - 1)
-    upper = lines[first + cell + 1]
-    if cell < n - 1 and upper - x < SNAP * (upper - lines[first + cell]):
+    line = lines[start[d] : start[d + 1]]
+    cell = cell_of(line, False, x)
+    if cell < line.size - 2 and line[cell + 1] - x < SNAP * (line[cell + 1] - line[cell]):
         cell += 1
     return cell
 
@@ -188,11 +181,10 @@ def overlaps_of(x, half, lines, start, levels, shape, low, size, child, count, b
 
 
 @numba.njit(cache=True, error_model="numpy")
-def was_split(low, size, levels, shape, held_low, held_size, child, result):
-    """Find whether cells, with their lowest lines and sizes, have children in a tree held."""
-    for a in range(size.size):
-        node = node_at(low[a], levels, shape, held_low, held_size, child)
-        result[a] = held_size[node] < size[a]
+def nodes_at(low, levels, shape, tree_low, size, child, nodes):
+    """Write the node of each of some cells of the finest level; see `node_at`."""
+    for a in range(low.shape[0]):
+        nodes[a] = node_at(low[a], levels, shape, tree_low, size, child)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.grid.lattice import Lattice
-from dolfinmpm.grid.leafsearch import ROOM, mark_touched, overlaps_of, too_coarse, was_split
+from dolfinmpm.grid.leafsearch import ROOM, mark_touched, nodes_at, overlaps_of, too_coarse
 
 __all__ = ["Leaves", "Tree", "Wanted", "leaves_of"]
 
@@ -103,6 +103,28 @@ class Leaves:
     node: Ints
     number: Ints
 
+    @classmethod
+    def of(cls, tree: Tree, rows: npt.NDArray[np.integer]) -> Leaves:
+        """The leaves among the cells of a tree that stand in some rows."""
+        node = rows[np.lexsort(tree.low[rows].T[::-1])].astype(np.int32)
+        number = np.full(len(tree.low), -1, np.int32)
+        number[node] = np.arange(node.size, dtype=np.int32)
+        return cls(tree, node, number)
+
+    @classmethod
+    def restored(cls, lattice: Lattice, levels: int, low: Ints, size: Ints) -> Leaves:
+        """The leaves with these lowest lines and sizes."""
+        tree = Tree.roots(lattice, levels)
+        node = np.empty(len(low), np.int32)
+        while True:
+            _, _, *search = tree.search
+            nodes_at(low, *search, node)
+            chosen = np.zeros(len(tree.low), bool)
+            chosen[node[tree.size[node] > size]] = True
+            if not chosen.any():
+                return cls.of(tree, node)
+            tree.split(chosen)
+
     @property
     def low(self) -> Ints:
         """Lowest lines of the leaves on the finest level, shape (leaves, gdim)."""
@@ -187,10 +209,11 @@ def leaves_of(
         if rows.size:
             size = wanted(low, high)
             if held is not None:
-                before = np.empty(rows.size, bool)
                 _, _, *search = held.tree.search
-                was_split(tree.low[rows], tree.size[rows], *search, before)
-                size = np.where(before, size / HYSTERESIS, size)
+                former = np.empty(rows.size, np.int32)
+                nodes_at(tree.low[rows], *search, former)
+                was_split = held.tree.size[former] < tree.size[rows]
+                size = np.where(was_split, size / HYSTERESIS, size)
             chosen[rows] = size < edge * (1 - 1e-9)
         if not chosen.any():
             break
@@ -203,11 +226,7 @@ def leaves_of(
             break
         tree.split(chosen)
         touched = _touched(comm, tree, x, half)
-    order = np.lexsort(tree.low[rows].T[::-1])
-    node = rows[order].astype(np.int32)
-    number = np.full(len(tree.low), -1, np.int32)
-    number[node] = np.arange(node.size, dtype=np.int32)
-    return Leaves(tree, node, number)
+    return Leaves.of(tree, rows)
 
 
 def _touched(comm: MPI.Intracomm, tree: Tree, x: Array, half: Array) -> npt.NDArray[np.bool_]:

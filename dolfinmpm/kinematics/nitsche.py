@@ -34,7 +34,6 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.basis.refinement import sizes_at
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
@@ -109,11 +108,12 @@ class WeakCondition:
         k = self.boundary.markers[self.stiffness]
         return k if self.on is None else k * self.boundary.markers[self.on]
 
-    def prepare(self, rows: npt.NDArray[np.integer]) -> None:
+    def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the law's moduli, and a penalty that is given or in units of M/h.
 
         Args:
             rows: Markers in active cells.
+            sizes: Sizes h of the cells at the markers (m), shape (markers,).
         """
         markers = self.boundary.markers
         if self.moduli is not None:
@@ -130,8 +130,7 @@ class WeakCondition:
             assert self.declaration is not None
             rows = self.declaration.rows
             moduli = self.declaration.elastic.moduli()[:, 0]
-            sizes = sizes_at(markers.grid, markers["x"][rows])
-            markers[self.stiffness][rows] = self.penalty * moduli / sizes
+            markers[self.stiffness][rows] = self.penalty * moduli / sizes[rows]
 
     def gaps(self) -> npt.NDArray[np.float64]:
         """Deviation from the prescribed displacement at the markers of this rank (m)."""

@@ -30,7 +30,6 @@ from dolfinmpm._platform.argumentchecks import check_kind, number
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.basis.refinement import sizes_at
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
@@ -94,11 +93,12 @@ class Wall:
         markers = self.boundary.markers
         return max(1.0, self.slip) * markers[self.stiffness] * markers[f"{self.name}_on"]
 
-    def prepare(self, rows: npt.NDArray[np.integer]) -> None:
+    def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the penalty, and find the markers with the body in front and their gaps.
 
         Args:
             rows: Markers in active cells.
+            sizes: Sizes h of the cells at the markers (m), shape (markers,).
         """
         markers, name = self.boundary.markers, self.name
         k = markers[self.stiffness]
@@ -107,7 +107,7 @@ class Wall:
         elif self.declaration is not None:
             M = self.declaration.elastic.moduli()[:, 0]
             rows_of = self.declaration.rows
-            k[rows_of] = self.penalty * M / sizes_at(markers.grid, markers["x"][rows_of])
+            k[rows_of] = self.penalty * M / sizes[rows_of]
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]

@@ -129,7 +129,7 @@ def _beyond(law: str, argument: str, behind: int, properties: Array, variables) 
     if not behind or size is None:
         return f"{law} writes beyond the array {argument}"
     at_least = behind if behind < GUARDS else f"{GUARDS} or more"
-    remedy = (
+    advice = (
         f"give state={size + behind} or more" if argument == "STATEV" else "give all properties"
     )
-    return f"{law} writes {at_least} numbers behind the {size} numbers of {argument}: {remedy}"
+    return f"{law} writes {at_least} numbers behind the {size} numbers of {argument}: {advice}"

@@ -32,7 +32,6 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import choice, number
 from dolfinmpm._platform.errors import UnstablePairWarning, warn
-from dolfinmpm.basis.refinement import finest_cell
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CellOffset
@@ -56,7 +55,7 @@ def size_of(p: Any) -> Any:
     """Mean size of the pressure's cells (m), a constant for UFL. Collective."""
     space: Space = p._dolfinmpm_space
     if space.refinement is not None:
-        return own_constant(space.grid, finest_cell(space.grid))
+        return own_constant(space.grid, space.finest_cell)
     size = space.cell_size
     if not isinstance(size, fem.Function):
         return size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,10 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.basis.refinement import Refinement
+from dolfinmpm.basis.space import Space
 from dolfinmpm.body.pointfamilies import FamilyChange, families, merge, split
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import movers
 
 if TYPE_CHECKING:
     from dolfinmpm.solve.problem import Problem
@@ -48,33 +52,37 @@ class Adaptation:
 
 def adapt(problem: Problem) -> Adaptation:
     """Let leaves and points follow the sizes wanted now; see `Problem.adapt`. Collective."""
-    space = problem.form.spaces[0]
-    refinement, points = space.refinement, problem.points
-    if refinement is None or space.per_cell is None:
+    spaces = [problem.form.spaces[k] for k in movers(problem.form.spaces)]
+    spaces = [s for s in spaces if s.refinement is not None and s.per_cell is not None]
+    if not spaces:
         return Adaptation()
-    number, families_merged, energies = 0, 0, np.zeros(2)
-    for _ in range(refinement.levels + 1):
-        which = _sizes(problem, refinement) > _SPLITS
+    points, number, joined, energies = problem.points, 0, 0, np.zeros(2)
+    levels = max(refinement.levels for refinement in _refinements(spaces))
+    for _ in range(levels + 1):
+        which = _sizes(points, spaces) > _SPLITS
         if not points.comm.allreduce(bool(which.any()), op=MPI.LOR):
             break
         done = split(points, which)
         number += done.count
         energies += _change(done)
-    for _ in range(refinement.levels):
-        allowed = (2.0 * _sizes(problem, refinement) < _MERGES) & (families(points).level > 0)
+    for _ in range(levels):
+        allowed = (2.0 * _sizes(points, spaces) < _MERGES) & (families(points).level > 0)
         if not points.comm.allreduce(bool(allowed.any()), op=MPI.LOR):
             break
         done = merge(points, _ALIKE, allowed=allowed)
-        families_merged += done.count
+        joined += done.count
         energies += _change(done)
         if not done.count:
             break
-    if number or families_merged:
-        problem.here = None
-    leaves = refinement.leaves
-    refinement.hold()
-    found = 0 if leaves is None else leaves.node.size
-    return Adaptation(number, families_merged, found, float(energies[0]), float(energies[1]))
+    for refinement in _refinements(spaces):
+        refinement.hold()
+    found = [r.leaves.node.size for r in _refinements(spaces) if r.leaves is not None]
+    return Adaptation(number, joined, sum(found), float(energies[0]), float(energies[1]))
+
+
+def _refinements(spaces: Sequence[Space]) -> list[Refinement]:
+    """The refinements of some spaces, each once."""
+    return list({id(s.refinement): s.refinement for s in spaces if s.refinement}.values())
 
 
 def _change(done: FamilyChange) -> Array:
@@ -87,16 +95,22 @@ def _change(done: FamilyChange) -> Array:
     )
 
 
-def _sizes(problem: Problem, refinement: Refinement) -> Array:
-    """Size of each point's domain over its part of the leaf at its centre, shape (points,)."""
-    space, points = problem.form.spaces[0], problem.points
-    where = points.placement(space.configuration)
-    # points of linear functions have domains too, which tell their sizes
-    leaves = refinement.leaves_for(where, space.basis.averaged)
-    x = np.ascontiguousarray(where.x)
-    _, leaf = leaves.overlapped(x, np.zeros_like(x))
-    low, high = leaves.tree.corners(leaves.node)
-    edge = np.prod(high - low, axis=1) ** (1 / x.shape[1])
-    size = 2.0 * np.prod(points["l"], axis=1) ** (1 / x.shape[1])
-    assert space.per_cell is not None
-    return np.asarray(size * space.per_cell / edge[leaf])
+def _sizes(points: MaterialPoints, spaces: Sequence[Space]) -> Array:
+    """Size of each point's domain over its part of the leaf at its centre, shape (points,).
+
+    Points of other fields get a size at which they neither split nor merge.
+    """
+    result = np.full(len(points), 0.5 * (_SPLITS + _MERGES))
+    size = 2.0 * np.prod(points["l"], axis=1) ** (1 / points.gdim)
+    for space in spaces:
+        assert space.refinement is not None
+        assert space.per_cell is not None
+        where = points.placement(space.configuration)
+        leaves = space.refinement.leaves_for(where, space.basis.averaged)
+        own = slice(None) if space.tags is None else np.isin(points["tag"], space.tags)
+        x = np.ascontiguousarray(where.x[own])
+        _, leaf = leaves.overlapped(x, np.zeros_like(x))
+        low, high = leaves.tree.corners(leaves.node)
+        edge = np.prod(high - low, axis=1) ** (1 / points.gdim)
+        result[own] = size[own] * space.per_cell / edge[leaf]
+    return result

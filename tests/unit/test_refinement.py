@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
@@ -123,9 +125,6 @@ def test_fill_by_leaves_has_the_volume_of_the_shape():
 
 def gravity_column(cells=4, **options):
     """Mean settlement of a block under its weight."""
-    import ufl
-    from dolfinx import fem
-
     grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2)
     V = mpm.Space(grid, "gimp", **options)
     points = mpm.fill(grid, mpm.Box((0, 0), (4, 2.3)), per_cell=2, density=2000.0, refine=V)
@@ -240,3 +239,76 @@ def test_condition_is_bounded_with_leaves_of_two_sizes_in_the_cut(stabilisation)
         problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=kind)
         found.append(mpm.study.condition_number(problem.stiffness()))
     assert max(found) / min(found) < 20
+
+
+def swept(steps, path=None, restart=None):
+    """Points of a block whose fine cells move with the number of the step."""
+    grid, place = lattice(2), [0]
+
+    def size(x):
+        return np.where(np.abs(x[0] - 0.5 - 0.3 * place[0]) < 0.3, 0.25, 1.1)
+
+    V = mpm.Space(grid, "gimp", refine=size, levels=2)
+    points = mpm.fill(grid, mpm.Box((0.2, 0), (3.4, 2)), per_cell=2, density=1e3)
+    u, v = V.increment, V.test
+    load = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(mpm.materials.VonMises(1e6, 0.3, yield_stress=2e4), points, u, v)
+    F -= ufl.inner(points.density * load, v) * points.dX
+    bcs = mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=mpm.Stabilisation("ghost"))
+    if restart is not None:
+        problem.load(restart)
+    for k in range(len(problem.history), steps):
+        place[0], load.value[:] = k, (0.4 * k, -8.0)
+        problem.step()
+    if path is not None:
+        problem.save(path)
+    order = np.argsort(points["id"])
+    return points["x"][order], [(r.split, r.merged) for r in problem.history]
+
+
+def test_a_restart_goes_on_with_the_same_leaves(tmp_path):
+    whole, adapted = swept(6)
+    swept(3, path=tmp_path / "run.npz")
+    again, same = swept(6, restart=tmp_path / "run.npz")
+    assert sum(merged for _, merged in adapted) > 0
+    assert same == adapted
+    np.testing.assert_array_equal(again, whole)
+
+
+def test_points_follow_leaves_along_a_path():
+    grid = lattice(2)
+    V = mpm.Space(grid, "gimp", refine=lambda x: np.where(x[0] < 1.2, 0.5, 1.0), levels=1)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=1e3)
+    u, v, load = V.increment, V.test, fem.Constant(grid, 1.0)
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    F += ufl.inner(points.density * load, v[1]) * points.dX
+    problem = mpm.ArcLength(F, u, points, mpm.fixed(V, "bottom"), load=load)
+    assert problem.step().split > 0
+
+
+@pytest.mark.parametrize("method", ["nitsche", "penalty"])
+def test_a_boundary_across_leaves_holds_the_body_as_on_a_fine_grid(method):
+    def settled(cells, **options):
+        grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2)
+        V = mpm.Space(grid, "gimp", **options)
+        corners = [(0.3, 0.3), (3.7, 0.3), (3.7, 2.3), (0.3, 2.3)]
+        body = mpm.Polygon(corners)
+        points = mpm.fill(grid, body, per_cell=2, density=2000.0, refine=V, exact=True)
+        u, v, law = V.increment, V.test, mpm.materials.Hencky(1e6, 0.3)
+        F = mpm.momentum(law, points, u, v)
+        load = fem.Constant(grid, (0.0, -9.81))
+        F -= ufl.inner(points.density * load, v) * points.dX
+        foot = mpm.Boundary.from_polygon(points, corners[:2], closed=False, spacing=0.05)
+        extra = {"penalty": 20.0} if method == "penalty" else {}
+        F += mpm.dirichlet(foot, u, v, law=law, method=method, **extra)
+        problem = mpm.QuasiStatic(F, u, points, stabilisation=mpm.Stabilisation("ghost"))
+        problem.step()
+        return float(points["V0"] @ (points["x"] - points["x0"])[:, 1]) / 6.8
+
+    fine = settled(16)
+    assert settled(4, refine=lambda x: np.full(x.shape[1], 0.25), levels=2) == pytest.approx(
+        fine, rel=1e-6
+    )
+    mixed = settled(4, refine=lambda x: np.where(x[1] < 1.1, 0.25, 0.5), levels=2)
+    assert mixed == pytest.approx(fine, rel=0.02)

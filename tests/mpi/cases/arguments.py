@@ -185,8 +185,7 @@ def _different_problems(s) -> None:
     last = COMM.rank == COMM.size - 1
     if not last:
         s.points.add_field("of_one_rank")
-    # the message shortens long lists
-    _differs(lambda: s.solver(), "fields of points", "on rank 0")
+    _differs(lambda: s.solver(), "fields of points", "of_one_rank")
     if last:
         s.points.add_field("of_one_rank")
 
