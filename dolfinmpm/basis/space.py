@@ -349,6 +349,7 @@ class Space:
         return refinement_of(self.grid, refine, levels)
 
     @property
+    @collective
     def finest_cell(self) -> float:
         """Least height of a cell, or of the leaves that refinement can make (m). Collective."""
         depth = 0 if self.refinement is None else self.refinement.depth

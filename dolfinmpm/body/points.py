@@ -96,10 +96,8 @@ class MaterialPoints(PointTable):
         half_length: Half-lengths of the points' domains (m), shape (n, d).
         density: Mass per volume (kg/m^d), a number or shape (n,).
         tag: Part of the body: a whole number from 0, or shape (n,).
-        id: Numbers of the points, different on all ranks, shape (n,); by default in the order of
-            the ranks.
-        axisymmetric: Whether the body is axisymmetric about x[0] = 0; volumes then go around the
-            axis.
+        id: Numbers of the points, different on all ranks, shape (n,); by default by the ranks.
+        axisymmetric: Whether the body is axisymmetric about x[0] = 0; volumes then go around it.
 
     Attributes:
         strain_dim: Dimension of deformation gradients, gdim or 3.
