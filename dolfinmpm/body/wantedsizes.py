@@ -103,16 +103,24 @@ def where_it_yields(
         field: Name of the field of the points that tells how much they have yielded.
         least: Least value of the field, such as a plastic strain (-).
 
+    The law of the points adds the field when a problem is made. A field that is missing then is an
+    `UnknownNameError` of the first step.
+
     Raises:
-        ParameterError: An argument is not valid, or the points have no such field.
+        ParameterError: An argument is not valid.
 
     >>> import dolfinmpm as mpm
     >>> from mpi4py import MPI
     >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
     >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
-    >>> mpm.where_it_yields(points, 0.25, field="det_F", least=2.0).wanted(
-    ...     points.grid.geometry.x[:1, :2], points.grid.geometry.x[:1, :2] + 1)
-    array([inf])
+    >>> fine = mpm.where_it_yields(points, 0.25)
+    >>> V = mpm.Space(grid, "gimp", refine=fine, levels=2)
+    >>> clay = mpm.materials.Tresca(1e6, 0.3, cohesion=20e3)
+    >>> F = mpm.momentum(clay, points, V.increment, V.test)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    >>> points["plastic_strain"][points["x"][:, 0] < 0.5] = 0.01
+    >>> problem.adapt().split
+    48
     """
     if not hasattr(points, "comm"):
         raise ParameterError(f"points = {shown(points)} must be material points")
