@@ -7,6 +7,7 @@ from dolfinmpm.materials.hencky import Hencky
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.mohrcoulomb import MohrCoulomb
 from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.materials.norsand import NorSand
 from dolfinmpm.materials.parametrised import Parameter
 from dolfinmpm.materials.sands import Sand, sand
 from dolfinmpm.materials.tresca import Tresca
@@ -23,6 +24,7 @@ __all__ = [
     "Law",
     "MohrCoulomb",
     "NeoHookean",
+    "NorSand",
     "Parameter",
     "Sand",
     "Tresca",
