@@ -99,7 +99,7 @@ def free_centre(shape: dict[str, Any], centre: Any, points: Any) -> Any:
     corners = np.concatenate([points["x"] + half * signs for signs in ((-1, -1), (-1, 1))])
     surface, back = mpm.RigidBody(shape_of(shape, centre), name="trial").surface, 0.0
     for _ in range(20):
-        gap = surface.probe(corners + [back, 0.0])[0].min(initial=np.inf)
+        gap = surface.probe(corners + np.array([back, 0.0]))[0].min(initial=np.inf)
         gap = points.comm.allreduce(float(gap), op=MPI.MIN)
         if gap >= 0.0:
             break

@@ -11,7 +11,11 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.parametrised import Parameter, Value
-from dolfinmpm.materials.pressureelasticity import PressureElastic, elastic_tangent, meridian_tangent
+from dolfinmpm.materials.pressureelasticity import (
+    PressureElastic,
+    elastic_tangent,
+    meridian_tangent,
+)
 
 __all__ = ["CamClay"]
 

@@ -27,6 +27,7 @@ _UNIT = 1e3
 # States beyond the yield surface by less than this (q/p) have the elastic tangent, as in Cam-Clay
 _TIE = 1e-11
 _ITERATIONS = 100
+_DENSEST = 0.05
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -40,68 +41,80 @@ def _dilatancy(place, M, N):
 
 @numba.njit(cache=True, error_model="numpy")
 def _limit(psi, M, N, chi):
-    """ln(p_i*/p) at which the dilatancy D is χ ψ_i, and its derivative by ψ_i; NaN beyond any η."""
+    """ln(p_i*/p) at which the dilatancy D is χ ψ_i, and its derivative by ψ_i.
+
+    No η has the dilatancy of sand with 1 + N χ ψ_i/M ≤ 0. Below _DENSEST the tangent goes on.
+    """
     if N == 0.0:
         return -chi * psi / M, -chi / M
-    return -math.log(1.0 + N * chi * psi / M) * (1.0 - N) / N, -(1.0 - N) * chi / (M + N * chi * psi)
+    z, power = 1.0 + N * chi * psi / M, (1.0 - N) / N
+    kept = max(z, _DENSEST)
+    slope = -power / kept
+    return -power * math.log(kept) + slope * (z - kept), slope * N * chi / M
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _flow(gamma, shear, volume, log_pi, trial, last, specific, parameters):
+def _flow(gamma, shear, place, trial, last, specific, parameters):
     """The state under a given plastic shear strain Δγ and elastic shear strain.
 
-    Flow rule and hardening are two equations for ε_vᵉ and ln p_i,
-    ε_v − ε_v^tr − Δγ D = 0 and 1 − p_in/p_i − h Δγ (p_i*/p_i − 1) = 0. Both grow with both
-    unknowns, and their determinant is positive: there is one solution.
+    The place ℓ = ln(p/p_i) gives D, the flow rule ε_v = ε_v^tr + Δγ D gives p, and so p_i. Left is
+    p_i (1 + h Δγ) = p_in + h Δγ p_i*. The difference of the logarithms of both sides falls with ℓ,
+    by more than ℓ grows: so a first place and its residual bracket the only solution.
 
     Returns:
-        Whether it was found; ε_v, ln p_i, ln X, ln p, D, ∂D/∂ln p, p_i*/p_i, and the derivative of
+        Whether it was found; ℓ, ε_v, ln X, ln p, D, ∂D/∂ℓ, p_i*/p_i, and the derivative of
         ln(p_i*/p) by ψ_i.
     """
-    swelling, mu0, alpha = parameters[0], parameters[1], parameters[2]
-    M, N, chi, h = parameters[5], parameters[6], parameters[7], parameters[8]
-    gamma_e, slope = parameters[9], parameters[10]
+    swelling, alpha, M, N = parameters[0], parameters[2], parameters[5], parameters[6]
+    chi, h, gamma_e, slope = parameters[7], parameters[8], parameters[9], parameters[10]
     grown = math.log1p(1.5 * alpha / swelling * shear * shear)
     first = math.log(parameters[3]) + parameters[4] / swelling
-    y = lp = D = dD = G = dlimit = 0.0
+    low, high = -math.inf, math.inf
+    volume = y = lp = D = dD = limit = dlimit = 0.0
     good = False
-    for _ in range(_ITERATIONS):
+    for k in range(_ITERATIONS):
+        D, dD = _dilatancy(place, M, N)
+        volume = trial + gamma * D
         y = first - volume / swelling
         lp = y + grown
-        D, dD = _dilatancy(lp - log_pi, M, N)
+        log_pi = lp - place
         psi = specific - 1.0 - gamma_e + slope * (log_pi - math.log(_UNIT))
         limit, dlimit = _limit(psi, M, N, chi)
-        G = math.exp(lp - log_pi + limit)
-        r2 = volume - trial - gamma * D
-        E, B = math.exp(last - log_pi), h * gamma * G
-        r3 = 1.0 - E - B + h * gamma
         if good:
             break
-        a11, a12 = 1.0 + gamma * dD / swelling, gamma * dD
-        a21, a22 = B / swelling, E + B * (1.0 - slope * dlimit)
-        det = a11 * a22 - a12 * a21
-        dv, da = (r2 * a22 - a12 * r3) / det, (a11 * r3 - r2 * a21) / det
-        if not math.isfinite(dv + da):
+        target = lp + limit
+        shift = max(last, target)
+        own, wanted = math.exp(last - shift), h * gamma * math.exp(target - shift)
+        residual = log_pi - shift - math.log((own + wanted) / (1.0 + h * gamma))
+        if not math.isfinite(residual):
             break
-        most = max(abs(dv) / swelling, abs(da))
-        good = most <= 1e-9  # one more correction is beyond rounding
-        cut = 1.0 if most <= 1.0 else 1.0 / most
-        volume -= cut * dv
-        log_pi -= cut * da
-    return good, volume, log_pi, y, lp, D, dD, G, dlimit
+        share, turn = wanted / (own + wanted), -gamma * dD / swelling
+        falls = (turn - 1.0) * (1.0 - share * slope * dlimit) - share * turn
+        if residual > 0.0:
+            low, high = place, min(high, place + residual)
+        else:
+            high, low = place, max(low, place + residual)
+        following = place - residual / falls
+        good = abs(following - place) <= 1e-9  # the next correction is rounding
+        if not good and k > 6 and k % 2 == 0:
+            following = 0.5 * (low + high)
+        place = following
+    return good, place, volume, y, lp, D, dD, math.exp(place + limit), dlimit
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _slopes(gamma, shear, tip, y, lp, D, dD, G, dlimit, log_pi, last, specific, parameters):
+def _slopes(gamma, shear, tip, state, last, specific, parameters):
     """Residual of the yield surface, its total derivative by Δγ, and derivatives by the trial.
 
     Args:
         tip: Whether the stress stays at the tip q = 0, where ε_sᵉ = 0.
+        state: Result of `_flow`.
 
     Returns:
         Residual and derivative; then the derivatives of ε_vᵉ and of Δγ by the volume strain and
         by the shear strain of the trial.
     """
+    _, place, _, y, lp, D, dD, G, dlimit = state
     swelling, mu0, alpha = parameters[0], parameters[1], parameters[2]
     M, N, h, slope = parameters[5], parameters[6], parameters[8], parameters[10]
     A = 1.5 * alpha / swelling
@@ -111,11 +124,10 @@ def _slopes(gamma, shear, tip, y, lp, D, dD, G, dlimit, log_pi, last, specific, 
     Ls = 0.0 if tip else 2.0 * A * shear / (1.0 + A * shear * shear)
     e_v, e_s = 1.0 - gamma * dD * Lv, -gamma * dD * Ls
     h_v, h_s = -h * gamma * G * Lv, -h * gamma * G * Ls
-    E = math.exp(last - log_pi)
+    E = math.exp(last - lp + place)
     e_a, h_a = gamma * dD, E + h * gamma * G * (1.0 - slope * dlimit)
     if tip:
-        place = 1.0 if N == 0.0 else -math.log(1.0 - N) * (1.0 - N) / N
-        residual = lp - log_pi - place
+        residual = place - (1.0 if N == 0.0 else -math.log(1.0 - N) * (1.0 - N) / N)
         f_v, f_s, f_a = Lv, 0.0, -1.0
     else:
         ratio = modulus * shear / p
@@ -137,36 +149,27 @@ def _slopes(gamma, shear, tip, y, lp, D, dD, G, dlimit, log_pi, last, specific, 
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _return(trial, shear_trial, log_pi, specific, parameters):
+def _return(trial, shear_trial, place, last, specific, parameters):
     """Plastic shear strain Δγ, whether at the tip, and the state; a bracket holds the root.
 
     Where the plastic shear strain would pass the trial shear strain, the stress is the tip q = 0
     of the yield surface. Flow in several directions then adds up to the deviator of the trial
     strain and less: Δγ is the sum (Koiter's rule).
     """
-    last = log_pi
     low, high, gamma, tip = 0.0, shear_trial, 0.0, False
-    volume = trial
-    found = _flow(shear_trial, 0.0, trial, last, trial, last, specific, parameters)
-    limit, _ = _dilatancy(0.0, 1.0, parameters[6])
-    end = parameters[5] - (1.0 - parameters[6]) * found[5]  # η
+    found = _flow(shear_trial, 0.0, place, trial, last, specific, parameters)
     if not found[0]:
         return False, gamma, tip, found
-    if end <= 0.0:
+    if parameters[5] <= (1.0 - parameters[6]) * found[5]:  # η ≤ 0
         tip, gamma, low, high = True, shear_trial, shear_trial, math.inf
-        volume, log_pi = found[1], found[2]
+        place = found[1]
     for k in range(_ITERATIONS):
         shear = 0.0 if tip else shear_trial - gamma
-        found = _flow(gamma, shear, volume, log_pi, trial, last, specific, parameters)
+        found = _flow(gamma, shear, place, trial, last, specific, parameters)
         if not found[0]:
-            # from the trial state instead of the last one
-            found = _flow(gamma, shear, trial, last, trial, last, specific, parameters)
-            if not found[0]:
-                return False, gamma, tip, found
-        _, volume, log_pi, y, lp, D, dD, G, dlimit = found
-        residual, slope, _, _, _, _ = _slopes(
-            gamma, shear, tip, y, lp, D, dD, G, dlimit, log_pi, last, specific, parameters
-        )
+            break
+        place = found[1]
+        residual, slope, _, _, _, _ = _slopes(gamma, shear, tip, found, last, specific, parameters)
         if residual > 0.0:
             low = gamma
         else:
@@ -202,9 +205,9 @@ def _norsand(parameters, strain, old, new, stress, tangent):
     p = X * (1.0 + 1.5 * alpha / swelling * shear_trial * shear_trial)
     mu = mu0 + alpha * X
     coupling = 2.0 * alpha * X / swelling
-    f = -1.0
+    f, place = -1.0, math.log(p) - last
     if old[0] < math.inf:
-        D, _ = _dilatancy(math.log(p) - last, M, N)
+        D, _ = _dilatancy(place, M, N)
         f = 3.0 * mu * shear_trial / p - M + (1.0 - N) * D
     if not (f < math.inf and 0.0 < p < math.inf):
         return 1
@@ -217,14 +220,12 @@ def _norsand(parameters, strain, old, new, stress, tangent):
     if not specific > 1.0:
         return 1
 
-    good, gamma, tip, found = _return(trial, shear_trial, last, specific, parameters)
+    good, gamma, tip, found = _return(trial, shear_trial, place, last, specific, parameters)
     if not good:
         return 1
-    _, volume, log_pi, y, lp, D, dD, G, dlimit = found
+    _, place, volume, y, lp, _, _, _, _ = found
     shear = 0.0 if tip else shear_trial - gamma
-    _, _, v_t, v_s, g_t, g_s = _slopes(
-        gamma, shear, tip, y, lp, D, dD, G, dlimit, log_pi, last, specific, parameters
-    )
+    _, _, v_t, v_s, g_t, g_s = _slopes(gamma, shear, tip, found, last, specific, parameters)
     X1, p1 = math.exp(y), math.exp(lp)
     modulus = 3.0 * (mu0 + alpha * X1)
     q = modulus * shear
@@ -244,7 +245,7 @@ def _norsand(parameters, strain, old, new, stress, tangent):
         strain[i] = volume / 3.0 + shear * n[i] / two
     if f <= _TIE:
         elastic_tangent(p / swelling, mu, coupling, e, tangent)
-    new[0], new[1] = math.exp(log_pi), specific - 1.0
+    new[0], new[1] = math.exp(lp - place), specific - 1.0
     new[2] = (1.0 + old[2]) * math.exp(trial - volume) - 1.0
     return 0
 
@@ -365,7 +366,8 @@ class NorSand(PressureElastic):
                 raise ParameterError(
                     f"NorSand: {left} = {known[left][at]:g} must {rule} "
                     f"{right} = {known[right][at]:g}"
-                    + "; give a larger image_pressure" * (left == "the tip")
+                    + "; give a larger image_pressure"
+                    * (left == "the tip")
                 )
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
