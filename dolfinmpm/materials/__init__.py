@@ -3,6 +3,7 @@
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.camclay import CamClay
 from dolfinmpm.materials.druckerprager import DruckerPrager
+from dolfinmpm.materials.hardindrnevich import HardinDrnevich
 from dolfinmpm.materials.hencky import Hencky
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.mohrcoulomb import MohrCoulomb
@@ -20,6 +21,7 @@ __all__ = [
     "CamClay",
     "DruckerPrager",
     "EnergyWithYield",
+    "HardinDrnevich",
     "Hencky",
     "Law",
     "MohrCoulomb",
