@@ -211,7 +211,11 @@ class DruckerPrager(Law):
     def completed(self, parameters: Array) -> Array:
         """The parameters of the kernel: the declared ones, then η, ξ and η̄."""
         friction, dilation = np.radians(parameters[:, 3]), np.radians(parameters[:, 4])
-        cone = cone_slope(friction, self.fit), cone_strength(friction, self.fit), cone_slope(dilation, self.fit)
+        cone = (
+            cone_slope(friction, self.fit),
+            cone_strength(friction, self.fit),
+            cone_slope(dilation, self.fit),
+        )
         return np.column_stack([parameters, *cone])
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:

@@ -35,10 +35,13 @@ class HardinDrnevich(UMAT):
     - bulk modulus K = 2 G₀ (1 + ν)/(3 (1 − 2ν)). G₀ = G_ref ((p + c cot φ)/(p_ref + c cot φ))^m
       with the pressure p at the start of the step, and at least 1 % of p_ref.
 
+    The hyperbola alone has the bound τ = G₀ γ₀.₇/a: the cone matters where it is below this bound.
+
     The memory is the strain since the first step and the reversals of loops that are open. They
     are tensors, among the state variables: they rotate with the material. A change of direction
-    by less than 90° is no reversal. The elastic part of HSsmall (Benz 2007) has the same rules for
-    one loop.
+    by less than 90° is no reversal. Where no room is left for a reversal, the way goes back along
+    its branch without a loop. The elastic part of HSsmall (Benz 2007) has the same rules for one
+    loop.
 
     Args:
         G: Shear modulus at small strain G_ref (Pa), positive.
@@ -110,7 +113,7 @@ class HardinDrnevich(UMAT):
             )
         levels = whole("reversals", reversals, 2)
         self.cohesion = float(cohesion)
-        self.properties = self._properties()
+        self.properties = self._properties().ravel()
         self.properties.flags.writeable = False
         names = [f"memory_strain_{ij}" for ij in _COMPONENTS] + ["reversals"]
         names += [f"reversal_{k + 1}_{ij}" for k in range(levels) for ij in _COMPONENTS]

@@ -128,7 +128,8 @@ def history(law, n=300, steps=12, components=6):
 
 @pytest.mark.parametrize("components", [4, 6])
 @pytest.mark.parametrize(
-    "law", [
+    "law",
+    [
         soil(),
         soil(reversals=2),
         soil(cohesion=2e3, friction_angle=30.0, exponent=0.5),
