@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.lawkernel import law_kernel
+from dolfinmpm.materials.lodeangle import lode_ratio, lode_ratios, lode_slopes
 from dolfinmpm.materials.parametrised import Parameter, Value
 from dolfinmpm.materials.pressureelasticity import (
     PRESSURE_ELASTIC,
@@ -103,16 +104,17 @@ def _flow(gamma, shear, place, trial, last, specific, parameters):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _slopes(gamma, shear, tip, state, last, specific, parameters):
+def _slopes(gamma, shear, tip, state, last, specific, angle, parameters):
     """Residual of the yield surface, its total derivative by Δγ, and derivatives by the trial.
 
     Args:
         tip: Whether the stress stays at the tip q = 0, where ε_sᵉ = 0.
         state: Result of `_flow`.
+        angle: Ratio of q on the surface to that in compression.
 
     Returns:
-        Residual and derivative; then the derivatives of ε_vᵉ and of Δγ by the volume strain and
-        by the shear strain of the trial.
+        Residual and derivative; then the derivatives of ε_vᵉ by the volume strain and the shear
+        strain of the trial and by `angle`, and those of Δγ.
     """
     _, place, _, y, lp, D, dD, G, dlimit = state
     swelling, mu0, alpha = parameters[0], parameters[1], parameters[2]
@@ -128,14 +130,15 @@ def _slopes(gamma, shear, tip, state, last, specific, parameters):
     e_a, h_a = gamma * dD, E + h * gamma * G * (1.0 - slope * dlimit)
     if tip:
         residual = place - (1.0 if N == 0.0 else -math.log(1.0 - N) * (1.0 - N) / N)
-        f_v, f_s, f_a = Lv, 0.0, -1.0
+        f_v, f_s, f_a, f_m = Lv, 0.0, -1.0, 0.0
     else:
+        p *= angle
         ratio = modulus * shear / p
         residual = ratio - M + (1.0 - N) * D
         bend = (1.0 - N) * dD
         f_v = -3.0 * alpha * X * shear / (swelling * p) + (bend - ratio) * Lv
         f_s = modulus / p + (bend - ratio) * Ls
-        f_a = -bend
+        f_a, f_m = -bend, -ratio / angle
     det = e_v * h_a - e_a * h_v
     e_g, h_g = -D - e_s, -h * (G - 1.0) - h_s
     v_g, a_g = -(e_g * h_a - e_a * h_g) / det, -(e_v * h_g - e_g * h_v) / det
@@ -145,11 +148,13 @@ def _slopes(gamma, shear, tip, state, last, specific, parameters):
     v_s, a_s = -(e_s * h_a - e_a * h_s) / det, -(e_v * h_s - e_s * h_v) / det
     g_t = -(f_v * v_t + f_a * a_t) / slope_g
     g_s = -(f_s + f_v * v_s + f_a * a_s) / slope_g
-    return residual, slope_g, v_t + v_g * g_t, v_s + v_g * g_s, g_t, g_s
+    g_m = -f_m / slope_g
+    by_volume = (v_t + v_g * g_t, v_s + v_g * g_s, v_g * g_m)
+    return residual, slope_g, by_volume, (g_t, g_s, g_m)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _return(trial, shear_trial, place, last, specific, parameters):
+def _return(trial, shear_trial, place, last, specific, angle, parameters):
     """Plastic shear strain Δγ, whether at the tip, and the state; a bracket holds the root.
 
     Where the plastic shear strain would pass the trial shear strain, the stress is the tip q = 0
@@ -160,7 +165,7 @@ def _return(trial, shear_trial, place, last, specific, parameters):
     found = _flow(shear_trial, 0.0, place, trial, last, specific, parameters)
     if not found[0]:
         return False, gamma, tip, found
-    if parameters[5] <= (1.0 - parameters[6]) * found[5]:  # η ≤ 0
+    if (1.0 - parameters[6]) * found[5] >= parameters[5]:  # η ≤ 0
         tip, gamma, low, high = True, shear_trial, shear_trial, math.inf
         place = found[1]
     for k in range(_ITERATIONS):
@@ -169,7 +174,7 @@ def _return(trial, shear_trial, place, last, specific, parameters):
         if not found[0]:
             break
         place = found[1]
-        residual, slope, _, _, _, _ = _slopes(gamma, shear, tip, found, last, specific, parameters)
+        residual, slope, _, _ = _slopes(gamma, shear, tip, found, last, specific, angle, parameters)
         if residual > 0.0:
             low = gamma
         else:
@@ -199,6 +204,11 @@ def _norsand(parameters, strain, old, new, stress, tangent):
     if not (math.isfinite(norm) and math.isfinite(trial) and old[0] > 0.0):
         return 1
     shear_trial = math.sqrt(2.0 / 3.0) * norm
+    n = (0.0, 0.0, 0.0)
+    if shear_trial > 0.0:
+        n = (e[0] / norm, e[1] / norm, e[2] / norm)
+    # stress keeps the direction of the trial deviator, which is known before the return
+    angle, by_z, z = lode_ratio(n, parameters[13])
     last = math.log(old[0])
     specific = (1.0 + old[2]) * math.exp(trial - parameters[4])
     X = parameters[3] * math.exp((parameters[4] - trial) / swelling)
@@ -208,7 +218,7 @@ def _norsand(parameters, strain, old, new, stress, tangent):
     f, place = -1.0, math.log(p) - last
     if old[0] < math.inf:
         D, _ = _dilatancy(place, M, N)
-        f = 3.0 * mu * shear_trial / p - M + (1.0 - N) * D
+        f = 3.0 * mu * shear_trial / (p * angle) - M + (1.0 - N) * D
     if not (f < math.inf and 0.0 < p < math.inf):
         return 1
     if f <= 0.0:
@@ -220,26 +230,30 @@ def _norsand(parameters, strain, old, new, stress, tangent):
     if not specific > 1.0:
         return 1
 
-    good, gamma, tip, found = _return(trial, shear_trial, place, last, specific, parameters)
+    good, gamma, tip, found = _return(trial, shear_trial, place, last, specific, angle, parameters)
     if not good:
         return 1
     _, place, volume, y, lp, _, _, _, _ = found
     shear = 0.0 if tip else shear_trial - gamma
-    _, _, v_t, v_s, g_t, g_s = _slopes(gamma, shear, tip, found, last, specific, parameters)
+    _, _, dv, dg = _slopes(gamma, shear, tip, found, last, specific, angle, parameters)
     X1, p1 = math.exp(y), math.exp(lp)
     modulus = 3.0 * (mu0 + alpha * X1)
     q = modulus * shear
-    s_t, s_s = (0.0, 0.0) if tip else (-g_t, 1.0 - g_s)
+    ds = (0.0, 0.0, 0.0) if tip else (-dg[0], 1.0 - dg[1], -dg[2])
     cross = 3.0 * alpha * X1 * shear / swelling
-    E11, E12 = p1 / swelling * v_t - cross * s_t, p1 / swelling * v_s - cross * s_s
-    E21, E22 = modulus * s_t - cross * v_t, modulus * s_s - cross * v_s
+    E11, E12 = p1 / swelling * dv[0] - cross * ds[0], p1 / swelling * dv[1] - cross * ds[1]
+    E21, E22 = modulus * ds[0] - cross * dv[0], modulus * ds[1] - cross * dv[1]
     if not (math.isfinite(E11 + E12 + E21 + E22) and 0.0 < p1 < math.inf):
         return 1
-    n = (0.0, 0.0, 0.0)
-    if shear_trial > 0.0:
-        n = (e[0] / norm, e[1] / norm, e[2] / norm)
     meridian_tangent(E11, E12, E21, E22, q, shear_trial, n, tangent)
     two = math.sqrt(2.0 / 3.0)
+    if by_z > 0.0 and norm > 0.0:
+        by_p = p1 / swelling * dv[2] - cross * ds[2]
+        by_q = two * (modulus * ds[2] - cross * dv[2])
+        slopes = lode_slopes(n, z, norm)
+        for j in range(3):
+            for i in range(3):
+                tangent[3 * i + j] += (by_p + by_q * n[i]) * by_z * slopes[j]
     for i in range(3):
         stress[i] = -p1 + two * q * n[i]
         strain[i] = volume / 3.0 + shear * n[i] / two
@@ -266,8 +280,10 @@ class NorSand(PressureElastic):
 
     See Jefferies & Been, Soil Liquefaction (2015), and Borja & Andrade (2006), Critical state
     plasticity, Part VI, Computer Methods in Applied Mechanics and Engineering 195, whose law this
-    is with equal N for yield surface and flow. M does not depend on Lode's angle. In compression
-    without shear the stress is at the tip of f, and Δγ is the sum of the flow in all directions.
+    is with equal N for yield surface and flow. In other directions than triaxial
+    compression, η is smaller by the ratio of Sheng, Sloan & Yu (2000). D then belongs to η over
+    this ratio, and the flow has the direction of the stress deviator. Without shear the stress
+    is at the tip of f, and Δγ is the sum of the flow in all directions.
 
     Internal variables: `image_pressure` p_i (Pa); `void_ratio` e; `reference_void_ratio`, the
     void ratio after unloading to the reference pressure. First values: `image_pressure`, and
@@ -275,7 +291,7 @@ class NorSand(PressureElastic):
 
     Args:
         swelling: Slope κ̂ of unloading, −dε_v/d ln p, positive, as in `CamClay`.
-        M: Critical stress ratio q/p, positive.
+        M: Critical stress ratio q/p in triaxial compression, positive.
         N: Shape of f, 0 ≤ N < 1; 0 to 0.5 for sands.
         chi: Dilatancy per state parameter χ, positive; some 2.5 to 4.5.
         hardening: h, positive; some 50 to 500.
@@ -284,12 +300,13 @@ class NorSand(PressureElastic):
         void_ratio: First void ratio e at the reference pressure, positive.
         image_pressure: First p_i (Pa), positive. A stress on the surface without shear has
             p_i = p/2.718 for N = 0, and p (1 − N)^((1−N)/N) else.
+        extension: M in triaxial extension by M, 0.6 to 1; Mohr and Coulomb have 3/(3 + M).
         mu0, alpha, reference_pressure, reference_strain: As in `CamClay`.
 
     Raises:
         ParameterError: A parameter is outside its range or contradicts another.
 
-    Dense sand sheared without a change of volume tends to the critical pressure of its void ratio:
+    Dense sand has a peak and dilates:
 
     >>> import dolfinmpm as mpm
     >>> slopes = {"critical_void_ratio": 0.82, "critical_slope": 0.03}
@@ -310,6 +327,7 @@ class NorSand(PressureElastic):
         "critical_slope": Parameter("", low=0.0, closed=True),
         "void_ratio": Parameter("", low=0.0),
         "image_pressure": Parameter("Pa", low=0.0),
+        "extension": Parameter("", low=0.6, high=1.0, closed=True),
     }
     internal = {
         "image_pressure": ("Pa", "image_pressure"),
@@ -319,37 +337,17 @@ class NorSand(PressureElastic):
     kernel = _norsand
 
     def __init__(
-        self,
-        *,
-        swelling: Value,
-        M: Value,
-        N: Value = 0.0,
-        chi: Value,
-        hardening: Value,
-        critical_void_ratio: Value,
-        critical_slope: Value,
-        void_ratio: Value,
-        image_pressure: Value,
-        mu0: Value,
-        alpha: Value,
-        reference_pressure: Value,
-        reference_strain: Value = 0.0,
-    ):
+        self, *, swelling: Value, M: Value, N: Value = 0.0, chi: Value, hardening: Value,
+        critical_void_ratio: Value, critical_slope: Value, void_ratio: Value,
+        image_pressure: Value, mu0: Value, alpha: Value, reference_pressure: Value,
+        reference_strain: Value = 0.0, extension: Value = 1.0,
+    ):  # fmt: skip
         super().__init__(
-            swelling=swelling,
-            M=M,
-            N=N,
-            chi=chi,
-            hardening=hardening,
-            critical_void_ratio=critical_void_ratio,
-            critical_slope=critical_slope,
-            void_ratio=void_ratio,
-            image_pressure=image_pressure,
-            mu0=mu0,
-            alpha=alpha,
-            reference_pressure=reference_pressure,
-            reference_strain=reference_strain,
-        )
+            swelling=swelling, M=M, N=N, chi=chi, hardening=hardening, void_ratio=void_ratio,
+            critical_void_ratio=critical_void_ratio, critical_slope=critical_slope,
+            image_pressure=image_pressure, mu0=mu0, alpha=alpha, extension=extension,
+            reference_pressure=reference_pressure, reference_strain=reference_strain,
+        )  # fmt: skip
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where parameters contradict each other."""
@@ -372,14 +370,18 @@ class NorSand(PressureElastic):
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """f = q − η p (Pa), shape (n,); see `Law.yield_function`."""
-        M, N = (parameters[:, list(self.parameters).index(name)] for name in ("M", "N"))
+        M, N, extension = (
+            parameters[:, list(self.parameters).index(name)] for name in ("M", "N", "extension")
+        )
         mean = -stress.mean(axis=1)
-        q = np.sqrt(1.5 * ((stress + mean[:, None]) ** 2).sum(axis=1))
+        s = stress + mean[:, None]
+        q = np.sqrt(1.5 * (s**2).sum(axis=1))
+        angle = lode_ratios(s, extension)
         with np.errstate(invalid="ignore", divide="ignore"):
             place = np.log(mean / internal[:, 0])
             power = N / (1.0 - N)
             D = M * np.where(N > 0.0, np.expm1(power * place) / N, place)
-        return np.where(mean > 0.0, q - (M - (1.0 - N) * D) * mean, q - mean)
+        return np.where(mean > 0.0, q - angle * (M - (1.0 - N) * D) * mean, q - mean)
 
 
 def _tip(N: Array) -> Array:

@@ -38,6 +38,8 @@ LAWS = [
     sand(N=0.0),
     sand(N=0.0, void_ratio=0.55, hardening=400.0, swelling=0.005),
     sand(LOOSE, N=0.3, mu0=0.0, alpha=60.0, swelling=0.01, image_pressure=3 * P),
+    sand(extension=0.7),
+    sand(LOOSE, extension=0.75, N=0.2, mu0=5e6, alpha=20.0, swelling=0.01),
     sand(mu0=5e6, alpha=20.0, swelling=0.01, reference_strain=-0.01),
 ]
 ANY = pytest.mark.parametrize("law", LAWS, ids=range(len(LAWS)))
@@ -155,6 +157,21 @@ def test_dilatancy_follows_stress_and_its_limit_the_state_parameter(N):
     peak = int(np.argmax(ratio))
     assert 10 < peak < 350
     assert D.min() == pytest.approx(law.chi * psi[peak], rel=2e-3)
+
+
+def test_extension_has_its_own_critical_ratio():
+    """Triaxial extension, compression, and plane shear between them."""
+    law, found = sand(extension=0.7), []
+    for to in (-1.5, 1.5):
+        test = element_test(law, "triaxial", to, pressure=P, strain="small", steps=150)
+        found.append(test["q"][-1] / test["p"][-1])
+    assert found[0] == pytest.approx(1.27, rel=1e-3)
+    assert found[1] == pytest.approx(0.7 * 1.27, rel=1e-3)
+    strain = {"xy": 3.0, "xx-yy": None, "yy-zz": None}
+    path = [{"strain": strain, "stress": {"mean": None}, "steps": 150}]
+    test = element_test(law, path, pressure=P, strain="small")
+    z0 = 0.7 * (2 / (1 + 0.7**4)) ** 0.25
+    assert test["q"][-1] / test["p"][-1] == pytest.approx(z0 * 1.27, rel=1e-3)
 
 
 def test_isotropic_compression_stays_at_the_tip():
