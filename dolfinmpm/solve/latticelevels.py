@@ -1,0 +1,91 @@
+"""Geometric multigrid on every second, fourth, ... line of the lattice.
+
+The functions of a coarser lattice are sums of functions of the finer lattice. So the spaces are
+nested, and Galerkin products give their stiffness. Points, penalties and constraints C need no
+treatment: the tangent Cᵀ K C contains them, and the independent nodes of C are the finest level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.solve.interpolations import Level, interpolations, knot_insertion, next_level
+
+__all__ = ["finest_level", "lattice_levels", "set_levels"]
+
+# A level with at most this number of unknowns is the coarsest one, which factors solve
+_COARSEST = 1500
+# The coarsest level is reached, too, if the next one has more than this share of the unknowns
+_LEAST_SHARE = 0.7
+
+
+def finest_level(here: Activation) -> Level:
+    """The unknowns of the first field as the finest level. Collective."""
+    unknowns = here.unknowns
+    field, halo = unknowns.fields[0], here.fields[0].basis.halo
+    nodes = field.owned_nodes
+    free = ~field.fixed[nodes]
+    ijk = halo.node_ijk[nodes]
+    if unknowns.comm.size == 1:
+        return Level(ijk, free, field.blocks)
+    # rows are not always with the owner of the node
+    block = field.components if field.blocks else 1
+    rows = np.repeat(ijk, field.components, axis=0)
+    component = np.tile(np.arange(field.components), len(nodes))
+    columns = np.column_stack([rows, component, free.ravel()]).astype(np.float64)
+    if not field.blocks:
+        columns = columns[free.ravel()]
+    sent = np.column_stack([unknowns.shared_out(np.array(c)) for c in columns.T])
+    if field.blocks:
+        return Level(
+            sent[::block, :-2].astype(np.int32), sent[:, -1].reshape(-1, block) > 0, True
+        )
+    return _from_rows(sent[:, :-2].astype(np.int32), sent[:, -2].astype(int), field.components)
+
+
+def _from_rows(ijk, component, components: int) -> Level:
+    """A level from the nodes and components of rows without blocks."""
+    first = np.ones(len(ijk), bool)
+    first[1:] = np.any(ijk[1:] != ijk[:-1], axis=1)
+    node = np.cumsum(first) - 1
+    free = np.zeros((int(first.sum()), components), bool)
+    free[node, component] = True
+    return Level(ijk[first], free, False)
+
+
+def lattice_levels(comm: MPI.Intracomm, finest: Level, lines, degree: int) -> list[Level]:
+    """Levels from the finest one to the coarsest one. Collective.
+
+    Args:
+        comm: Communicator.
+        finest: The unknowns.
+        lines: Coordinates of the grid lines (m), one array per direction.
+        degree: Degree of the functions.
+    """
+    levels, count = [finest], comm.allreduce(int(np.count_nonzero(finest.free)))
+    while count > _COARSEST and any(line.size > 2 for line in lines):
+        made = [knot_insertion(line, degree) for line in lines]
+        lines = [line for line, _ in made]
+        finer = replace(levels[-1], parents=tuple(parents for _, parents in made))
+        coarser = next_level(comm, finer)
+        fewer = comm.allreduce(coarser.size)
+        if fewer > _LEAST_SHARE * count or fewer == 0:
+            break
+        levels[-1], count = finer, fewer
+        levels.append(coarser)
+    return levels
+
+
+def set_levels(pc: PETSc.PC, here: Activation) -> None:
+    """Give PETSc's multigrid the levels of an activation. Collective."""
+    comm, basis = here.unknowns.comm, here.fields[0].basis
+    levels = lattice_levels(comm, finest_level(here), basis.lattice.lines, basis.degree)
+    pc.setMGLevels(len(levels))
+    for k, P in enumerate(interpolations(comm, levels)):
+        pc.setMGInterpolation(len(levels) - 1 - k, P)
+    pc.setFromOptions()
