@@ -19,7 +19,7 @@ from dolfinmpm.solve.interpolations import Level, interpolations, knot_insertion
 __all__ = ["finest_level", "lattice_levels", "set_levels"]
 
 # A level with at most this number of unknowns is the coarsest one, which factors solve
-_COARSEST = 1500
+_COARSEST = 500
 # The coarsest level is reached, too, if the next one has more than this share of the unknowns
 _LEAST_SHARE = 0.7
 
@@ -88,4 +88,6 @@ def set_levels(pc: PETSc.PC, here: Activation) -> None:
     pc.setMGLevels(len(levels))
     for k, P in enumerate(interpolations(comm, levels)):
         pc.setMGInterpolation(len(levels) - 1 - k, P)
+        P.destroy()
+    # options of the levels are read now, because the levels are new
     pc.setFromOptions()

@@ -48,6 +48,15 @@ _MULTIGRID = {
 _MULTIGRID_OF_WIDE = {**_MULTIGRID, "mg_levels_pc_type": "sor", "pc_gamg_threshold": 0.0}
 
 
+# Multigrid on the lattice's own levels (`dolfinmpm.solve.latticelevels`). One symmetric sweep of
+# Gauss–Seidel smooths. It needs no estimate of eigenvalues, and takes wide functions as well.
+_LATTICE = {
+    "pc_mg_galerkin": "pmat",
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_ksp_max_it": 1,
+    "mg_levels_pc_type": "sor",
+}
+
 # A displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle of
 # multigrid per block (White & Borja 2011, doi 10.1007/s10596-011-9233-7). `dolfinmpm.solve.schur`
 # approximates S. Incomplete factors smooth in the multigrid of S: with Jacobi or Gauss–Seidel, cut
@@ -88,6 +97,7 @@ class Tangent:
         porous: Whether the fields are a displacement and a scalar.
         wide: Whether functions of the displacement are wider than two cells (splines), or averaged
             over domains (GIMP).
+        lattice: Whether the lattice's own levels make multigrid.
     """
 
     symmetric: bool
@@ -96,6 +106,7 @@ class Tangent:
     fields: int = 1
     porous: bool = False
     wide: bool = False
+    lattice: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,7 +145,7 @@ class Method:
     def __str__(self) -> str:
         name = {
             "lu": "LU", "cholesky": "Cholesky", "gamg": "GAMG", "ilu": "incomplete LU",
-            "bjacobi": "incomplete LU per rank",
+            "bjacobi": "incomplete LU per rank", "mg": "multigrid of the lattice",
         }.get(self.pc, self.pc)  # fmt: skip
         package = f" by {_NAMES.get(self.package, self.package.upper())}" if self.package else ""
         outer = "" if self.ksp == "preonly" else f"{self.ksp.upper()} with "
@@ -251,6 +262,8 @@ def choose(
         krylov = (
             "cg" if tangent.symmetric and tangent.definite and not tangent.softened else "gmres"
         )
+        if tangent.lattice:
+            return Method(krylov, "mg", "", why, True, _LATTICE)
         cycles = _MULTIGRID_OF_WIDE if tangent.wide and gdim == 3 else _MULTIGRID
         return Method(krylov, "gamg", "", why, True, cycles)
     why = f"{count} unknowns, {kind}"

@@ -121,9 +121,10 @@ class MethodChoice:
     def method(self, count: int) -> Method:
         """The method for a number of unknowns."""
         # the user's choice is not changed
+        lattice = self.tangent.lattice and self._options.get("pc_type") in (None, "mg")
         free = not any(self._options.has(name) for name in _OF_METHOD)
         found = choose(
-            replace(self.tangent, definite=self.definite), count, self._gdim, self._ranks,
+            replace(self.tangent, definite=self.definite, lattice=lattice), count, self._gdim, self._ranks,
             self._direct, free and self._incomplete.incomplete, not self.no_substructures,
         )  # fmt: skip
         if self._ranks > 1 and self.no_substructures and self.definite and found.pc == "cholesky":
