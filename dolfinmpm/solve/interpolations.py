@@ -8,6 +8,7 @@ lattice or from leaves of several sizes.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -265,13 +266,13 @@ def interpolations(comm: MPI.Intracomm, levels: Sequence[Level]) -> list[PETSc.M
     Returns:
         One matrix per pair of neighbouring levels, the finest pair first.
     """
-    return [_interpolation(comm, *pair) for pair in zip(levels, levels[1:])]
+    return [_interpolation(comm, *pair) for pair in itertools.pairwise(levels)]
 
 
 def _interpolation(comm: MPI.Intracomm, fine: Level, coarse: Level) -> PETSc.Mat:
     at, keys, weights = _families(fine)
     shape = [p.size for p in fine.parents]
-    known = np.ravel_multi_index(tuple(coarse.nodes.T), shape).astype(np.int64)
+    known = np.asarray(np.ravel_multi_index(tuple(coarse.nodes.T), shape), np.int64)
     columns, first = coarse.rows, int(comm.exscan(coarse.size) or 0)
     columns[columns >= 0] += first
     if comm.size > 1:

@@ -13,6 +13,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.solve.interpolations import Level, interpolations, knot_insertion, next_level
 
@@ -27,10 +28,11 @@ _LEAST_SHARE = 0.7
 def finest_level(here: Activation) -> Level:
     """The unknowns of the first field as the finest level. Collective."""
     unknowns = here.unknowns
-    field, halo = unknowns.fields[0], here.fields[0].basis.halo
+    field, basis = unknowns.fields[0], here.fields[0].basis
+    assert isinstance(basis, LatticeBasis)
     nodes = field.owned_nodes
     free = ~field.fixed[nodes]
-    ijk = halo.node_ijk[nodes]
+    ijk = basis.halo.node_ijk[nodes]
     if unknowns.comm.size == 1:
         return Level(ijk, free, field.blocks)
     # rows are not always with the owner of the node
@@ -42,9 +44,7 @@ def finest_level(here: Activation) -> Level:
         columns = columns[free.ravel()]
     sent = np.column_stack([unknowns.shared_out(np.array(c)) for c in columns.T])
     if field.blocks:
-        return Level(
-            sent[::block, :-2].astype(np.int32), sent[:, -1].reshape(-1, block) > 0, True
-        )
+        return Level(sent[::block, :-2].astype(np.int32), sent[:, -1].reshape(-1, block) > 0, True)
     return _from_rows(sent[:, :-2].astype(np.int32), sent[:, -2].astype(int), field.components)
 
 
@@ -82,8 +82,13 @@ def lattice_levels(comm: MPI.Intracomm, finest: Level, lines, degree: int) -> li
 
 
 def set_levels(pc: PETSc.PC, here: Activation) -> None:
-    """Give PETSc's multigrid the levels of an activation. Collective."""
+    """Give PETSc's multigrid the levels of an activation. Collective.
+
+    Other meshes, and several fields, have one level, which factors solve.
+    """
     comm, basis = here.unknowns.comm, here.fields[0].basis
+    if not isinstance(basis, LatticeBasis) or len(here.fields) > 1:
+        return
     levels = lattice_levels(comm, finest_level(here), basis.lattice.lines, basis.degree)
     pc.setMGLevels(len(levels))
     for k, P in enumerate(interpolations(comm, levels)):

@@ -150,7 +150,7 @@ class QuasiStatic(Problem):
         tangent = Tangent(
             symmetric(self.form), definite, self.form.softened, len(shapes),
             shapes == [(points.gdim,), ()], wide=basis.averaged or basis.continuity > 0,
-            lattice=isinstance(basis, LatticeBasis),
+            degree=basis.degree if isinstance(basis, LatticeBasis) else 0,
         )  # fmt: skip
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations

@@ -105,6 +105,9 @@ class MethodChoice:
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._gdim, self._ranks, self._options = gdim, comm.size, options
+        if options.get("pc_type") not in (None, "mg"):
+            # another multigrid by options has its own levels
+            tangent = replace(tangent, degree=0)
         self.tangent, self.doubt = tangent, Doubt()
         self.no_substructures = why_not(comm)
         if options.mentions("mat_mumps_"):
@@ -121,10 +124,9 @@ class MethodChoice:
     def method(self, count: int) -> Method:
         """The method for a number of unknowns."""
         # the user's choice is not changed
-        lattice = self.tangent.lattice and self._options.get("pc_type") in (None, "mg")
         free = not any(self._options.has(name) for name in _OF_METHOD)
         found = choose(
-            replace(self.tangent, definite=self.definite, lattice=lattice), count, self._gdim, self._ranks,
+            replace(self.tangent, definite=self.definite), count, self._gdim, self._ranks,
             self._direct, free and self._incomplete.incomplete, not self.no_substructures,
         )  # fmt: skip
         if self._ranks > 1 and self.no_substructures and self.definite and found.pc == "cholesky":
