@@ -56,6 +56,28 @@ def stabilisations_bspline2():
     return _stabilisations("bspline2")
 
 
+def lattice_multigrid():
+    """A leaning body by multigrid of the lattice, whose levels span ranks."""
+    figures = {}
+    for basis, kind in (("gimp", "ghost"), ("linear", "aggregation"), ("bspline2", "ghost")):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (36, 36), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((1.3, 0), (6.2, 5.15)), 2, 1.0)
+        V = mpm.Space(grid, basis)
+        g = fem.Constant(grid, (0.0, 0.0))
+        F = hencky(points, V, ghost=False, E=100.0) - ufl.inner(g, V.test) * points.dX
+        options = {"ksp_type": "cg", "pc_type": "mg", "ksp_rtol": 1e-12}
+        problem, result = run(
+            points, V, F, mpm.fixed(V, "bottom"), [(0.1, -0.5)], g, stabilisation=kind,
+            petsc_options=options,
+        )  # fmt: skip
+        result.pop("moved")
+        # the smoother differs between ranks, the levels do not
+        ksp = problem.newton.linear.snes.getKSP()
+        few = ksp.getIterationNumber() <= 25
+        figures[basis] = result | {"levels": ksp.getPC().getMGLevels(), "few iterations": few}
+    return figures
+
+
 def adaptive_penalties():
     """Ghost penalties by the tangent of soil that yields, on lattices and on triangles."""
     figures = {}
