@@ -1,9 +1,9 @@
 """Interpolations between levels of nodes, for geometric multigrid.
 
-A level is a set of nodes with lattice integers. In each direction, a table tells the parents of
-an integer on the next coarser level, with weights. The weight of a parent node is the product of
-the weights of its integers. So a level needs no cells, and the nodes of a level may come from a
-lattice or from leaves of several sizes.
+A level is a set of nodes with lattice integers, and with their parents on the next coarser level.
+On a lattice, a table per direction tells the parents of an integer, with weights. The weight of a
+parent node is the product of the weights of its integers. A level needs no cells. So nodes may come
+from a lattice or from leaves of several sizes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,15 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["Level", "Parents", "interpolations", "knot_insertion", "next_level"]
+__all__ = [
+    "Family",
+    "Level",
+    "Parents",
+    "interpolations",
+    "knot_insertion",
+    "lattice_family",
+    "next_level",
+]
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -42,6 +50,23 @@ class Parents:
 
 
 @dataclass(frozen=True)
+class Family:
+    """Parents of the nodes of a level on the next coarser level.
+
+    Attributes:
+        start: First entry of each node, shape (nodes + 1,).
+        keys: Numbers of the parents in the coarse lattice, with the last direction fastest.
+        weights: Their weights (-).
+        shape: Number of integers of the coarse lattice per direction.
+    """
+
+    start: Ints
+    keys: npt.NDArray[np.int64]
+    weights: Array
+    shape: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Level:
     """Nodes of a level whose rows this rank owns, in the order of the rows.
 
@@ -49,13 +74,13 @@ class Level:
         nodes: Lattice integers of the nodes, shape (n, gdim).
         free: Mask of the components that are unknowns, shape (n, components).
         every: Whether all components have rows, or only unknowns.
-        parents: Parents of the integers per direction, empty on the coarsest level.
+        family: Parents of the nodes, None on the coarsest level.
     """
 
     nodes: Ints
     free: npt.NDArray[np.bool_]
     every: bool
-    parents: tuple[Parents, ...] = ()
+    family: Family | None = None
 
     @property
     def rows(self) -> npt.NDArray[np.int32]:
@@ -170,16 +195,21 @@ def _table(parents: Sequence[Parents]):
     return columns
 
 
-def _families(level: Level):
-    """First entry of each node, keys and weights of its parents."""
-    table = _table(level.parents)
-    shape = np.array([p.size for p in level.parents], np.int64)
-    at = np.zeros(len(level.nodes) + 1, np.int32)
+def lattice_family(nodes: Ints, parents: Sequence[Parents]) -> Family:
+    """Parents of nodes of a lattice.
+
+    Args:
+        nodes: Lattice integers of the nodes, shape (n, gdim).
+        parents: Parents of the integers per direction.
+    """
+    table = _table(parents)
+    shape = tuple(p.size for p in parents)
+    start = np.zeros(len(nodes) + 1, np.int32)
     keys, weights = np.empty(0, np.int64), np.empty(0)
     for _ in range(2):  # first count, then fill
-        keys, weights = np.empty(at[-1], np.int64), np.empty(at[-1])
-        _parents_of(level.nodes, *table, at, keys, weights, shape)
-    return at, keys, weights
+        keys, weights = np.empty(start[-1], np.int64), np.empty(start[-1])
+        _parents_of(nodes, *table, start, keys, weights, np.array(shape, np.int64))
+    return Family(start, keys, weights, shape)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -204,10 +234,12 @@ def next_level(comm: MPI.Intracomm, level: Level) -> Level:
         comm: Communicator.
         level: The level.
     """
-    at, keys, weights = _families(level)
-    own, place = np.unique(keys, return_inverse=True)
+    family = level.family
+    assert family is not None
+    own, place = np.unique(family.keys, return_inverse=True)
     of_all, of_free = (np.zeros((own.size, level.free.shape[1])) for _ in range(2))
-    _heaviest(at, place.astype(np.int32), weights, level.free, of_all, of_free)
+    children = family.start, place.astype(np.int32), family.weights
+    _heaviest(*children, level.free, of_all, of_free)
     mine = np.ones(own.size, bool)
     if comm.size > 1:
         # all ranks know the nodes of all ranks here: an eighth of the finer level in 3D
@@ -228,7 +260,7 @@ def next_level(comm: MPI.Intracomm, level: Level) -> Level:
         own, of_all, of_free = every, whole, free
     unknown = (of_free == of_all) & (of_all > 0.0)
     mine &= unknown.any(axis=1)
-    nodes = np.column_stack(np.unravel_index(own[mine], [p.size for p in level.parents]))
+    nodes = np.column_stack(np.unravel_index(own[mine], family.shape))
     return Level(nodes.astype(np.int32), unknown[mine], False)
 
 
@@ -270,26 +302,26 @@ def interpolations(comm: MPI.Intracomm, levels: Sequence[Level]) -> list[PETSc.M
 
 
 def _interpolation(comm: MPI.Intracomm, fine: Level, coarse: Level) -> PETSc.Mat:
-    at, keys, weights = _families(fine)
-    shape = [p.size for p in fine.parents]
-    known = np.asarray(np.ravel_multi_index(tuple(coarse.nodes.T), shape), np.int64)
+    family = fine.family
+    assert family is not None
+    known = np.asarray(np.ravel_multi_index(tuple(coarse.nodes.T), family.shape), np.int64)
     columns, first = coarse.rows, int(comm.exscan(coarse.size) or 0)
     columns[columns >= 0] += first
     if comm.size > 1:
         pieces = comm.allgather((known, columns))
         known, columns = (np.concatenate([p[k] for p in pieces]) for k in range(2))
     order = np.argsort(known, kind="stable")
-    place = np.searchsorted(known[order], keys)
+    place = np.searchsorted(known[order], family.keys)
     place[place == known.size] = 0
     place = order[place]
-    place[known[place] != keys] = -1
+    place[known[place] != family.keys] = -1
     indptr = np.zeros(fine.size + 1, np.int32)
     indices, values = np.empty(0, np.int32), np.empty(0)
     for _ in range(2):  # first count, then fill
         indices, values = np.empty(indptr[-1], np.int32), np.empty(indptr[-1])
         _rows_of(
-            at, place.astype(np.int32), weights, fine.rows, columns, fine.size, indptr, indices,
-            values,
+            family.start, place.astype(np.int32), family.weights, fine.rows, columns, fine.size,
+            indptr, indices, values,
         )  # fmt: skip
     size = (fine.size, PETSc.DETERMINE), (coarse.size, PETSc.DETERMINE)
     return PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=comm)

@@ -7,32 +7,42 @@ treatment: the tangent Cᵀ K C contains them, and the independent nodes of C ar
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis import LeafBasis, LinearBasis
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.solve.interpolations import Level, interpolations, knot_insertion, next_level
+from dolfinmpm.solve.interpolations import (
+    Level,
+    interpolations,
+    knot_insertion,
+    lattice_family,
+    next_level,
+)
+from dolfinmpm.solve.leaflevels import FamilyOf, leaf_families
 
-__all__ = ["finest_level", "lattice_levels", "set_levels"]
+__all__ = ["finest_level", "lattice_families", "levels_of", "set_levels"]
+
+Array = npt.NDArray[np.float64]
 
 # A level with at most this number of unknowns is the coarsest one, which factors solve
 _COARSEST = 500
-# The coarsest level is reached, too, if the next one has more than this share of the unknowns
-_LEAST_SHARE = 0.7
 
 
 def finest_level(here: Activation) -> Level:
     """The unknowns of the first field as the finest level. Collective."""
     unknowns = here.unknowns
     field, basis = unknowns.fields[0], here.fields[0].basis
-    assert isinstance(basis, LatticeBasis)
+    assert not isinstance(basis, LinearBasis)
     nodes = field.owned_nodes
     free = ~field.fixed[nodes]
-    ijk = basis.halo.node_ijk[nodes]
+    ijk = (basis.fine if isinstance(basis, LeafBasis) else basis.halo.node_ijk)[nodes]
     if unknowns.comm.size == 1:
         return Level(ijk, free, field.blocks)
     # rows are not always with the owner of the node
@@ -58,23 +68,35 @@ def _from_rows(ijk, component, components: int) -> Level:
     return Level(ijk[first], free, False)
 
 
-def lattice_levels(comm: MPI.Intracomm, finest: Level, lines, degree: int) -> list[Level]:
+def lattice_families(lines: Sequence[Array], degree: int) -> Iterator[FamilyOf]:
+    """Functions from the nodes of each level of a lattice to their parents.
+
+    Args:
+        lines: Coordinates of the grid lines (m), one array per direction.
+        degree: Degree of the functions.
+    """
+    while any(line.size > 2 for line in lines):
+        made = [knot_insertion(line, degree) for line in lines]
+        lines = [line for line, _ in made]
+        yield functools.partial(lattice_family, parents=[parents for _, parents in made])
+
+
+def levels_of(comm: MPI.Intracomm, finest: Level, families: Iterable[FamilyOf]) -> list[Level]:
     """Levels from the finest one to the coarsest one. Collective.
 
     Args:
         comm: Communicator.
         finest: The unknowns.
-        lines: Coordinates of the grid lines (m), one array per direction.
-        degree: Degree of the functions.
+        families: Functions from the nodes of each level to their parents.
     """
     levels, count = [finest], comm.allreduce(int(np.count_nonzero(finest.free)))
-    while count > _COARSEST and any(line.size > 2 for line in lines):
-        made = [knot_insertion(line, degree) for line in lines]
-        lines = [line for line, _ in made]
-        finer = replace(levels[-1], parents=tuple(parents for _, parents in made))
+    for family_of in families:
+        if count <= _COARSEST:
+            break
+        finer = replace(levels[-1], family=family_of(levels[-1].nodes))
         coarser = next_level(comm, finer)
         fewer = comm.allreduce(coarser.size)
-        if fewer > _LEAST_SHARE * count or fewer == 0:
+        if not 0 < fewer < count:
             break
         levels[-1], count = finer, fewer
         levels.append(coarser)
@@ -87,9 +109,13 @@ def set_levels(pc: PETSc.PC, here: Activation) -> None:
     Other meshes, and several fields, have one level, which factors solve.
     """
     comm, basis = here.unknowns.comm, here.fields[0].basis
-    if not isinstance(basis, LatticeBasis) or len(here.fields) > 1:
+    if isinstance(basis, LinearBasis) or len(here.fields) > 1:
         return
-    levels = lattice_levels(comm, finest_level(here), basis.lattice.lines, basis.degree)
+    families = (
+        leaf_families(basis.leaves) if isinstance(basis, LeafBasis)
+        else lattice_families(basis.lattice.lines, basis.degree)
+    )  # fmt: skip
+    levels = levels_of(comm, finest_level(here), families)
     pc.setMGLevels(len(levels))
     for k, P in enumerate(interpolations(comm, levels)):
         pc.setMGInterpolation(len(levels) - 1 - k, P)
