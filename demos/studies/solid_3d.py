@@ -41,6 +41,7 @@ class Input(Options):
     cuts: list[float] = option([0.3], "shares of a cell")
     random: int = option(0, "so many draws instead: cells, cut from 1e-6 on, nu", least=0)
     nu: float = option(0.3, "Poisson's ratio; of draws the largest", least=0, below=0.5)
+    levels: int = option(0, "halvings of the cells towards the block's upper corner", least=0)
     basis: str = option("linear", choices=BASES)
     stabilisation: str = option("ghost", "a stabilisation against small cuts")
     points_per_cell: int = natural(2, "in each direction")
@@ -54,13 +55,12 @@ args = Input.parse()
 
 # %%
 def block(n, cut, nu):
-    """The elastic block; returns grid, points, law and weight (N/kg)."""
+    """The elastic block; returns grid, body, density (kg/m³) and law."""
     h = 1.0 / n
     side = (n + 4) * h
     grid = box_grid([(0, 0, 0), (side,) * 3], (n + 4,) * 3)
     body = mpm.Box((0, 0, 0), (1 + cut * h,) * 3)
-    points = mpm.fill(grid, body, args.points_per_cell, 1000.0)
-    return grid, points, mpm.materials.Hencky(E=1e6, nu=nu)
+    return grid, body, 1000.0, mpm.materials.Hencky(E=1e6, nu=nu)
 
 
 def slope(n, cut, nu):
@@ -69,25 +69,27 @@ def slope(n, cut, nu):
     cells = 2 * n + 2, n, n + 1
     grid = box_grid([(0, 0, 0), tuple(h * k for k in cells)], cells)
     high, foot = 10.0 + cut * h, 2.0
-    points = mpm.fill(
-        grid,
-        mpm.Where(
-            lambda x: (x[2] <= high) & ((x[2] <= foot) | (x[0] + x[2] <= 10 + foot + cut * h))
-        ),
-        args.points_per_cell,
-        2000.0,
+    body = mpm.Where(
+        lambda x: (x[2] <= high) & ((x[2] <= foot) | (x[0] + x[2] <= 10 + foot + cut * h))
     )
     soil = mpm.materials.MohrCoulomb(
         E=20e6, nu=nu, cohesion=lambda x: np.where(x[1] < 5, 11e3, 20e3),
         friction_angle=20.0, dilation_angle=0.0,
     )  # fmt: skip
-    return grid, points, soil
+    return grid, body, 2000.0, soil
 
 
 def run(n, cut, nu):
     """Load a body with its weight; returns figures and points."""
-    grid, points, law = (block if args.scene == "block" else slope)(n, cut, nu)
-    V = mpm.Space(grid, args.basis)
+    grid, body, density, law = (block if args.scene == "block" else slope)(n, cut, nu)
+    V, refine = mpm.Space(grid, args.basis), None
+    if args.levels:
+
+        def size(x):
+            return 0.3 * np.linalg.norm(x.T - 1.0, axis=1)
+
+        V = refine = mpm.Space(grid, args.basis, refine=size, levels=args.levels)
+    points = mpm.fill(grid, body, args.points_per_cell, density, refine=refine)
     u, v = V.increment, V.test
     gravity = fem.Constant(grid, (0.0, 0.0, 0.0))
     F = mpm.momentum(law, points, u, v)
