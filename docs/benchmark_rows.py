@@ -248,6 +248,22 @@ ROWS = (
         each("solid_3d", *(f"--cells 20 --cuts 1e-6,1e-3,.1,.5,.9 --stabilisation {stabilisation}"
                            for stabilisation in ("ghost", "aggregation"))),
         linear_iterations, "{:.0f}, {:.0f}; {:.0f}, {:.0f}", "the same at all cuts"),
+    Row("cuts-random", CUTS, "the same for 30 random draws of cut (1e-6 to 1 of a cell), cells (14 "
+        "to 22) and ν (up to 0.45): most iterations of a solution at the worst draw, at the best "
+        "draw: linear functions, GIMP with ghost penalty; with aggregation",
+        each("solid_3d", *(f"--cells 14,22 --random 30 --nu 0.45 --steps 1 --basis {basis} "
+                           f"--stabilisation {stabilisation}"
+                           for stabilisation in ("ghost", "aggregation")
+                           for basis in ("linear", "gimp"))),
+        linear_iterations, "{:.0f}, {:.0f}, {:.0f}, {:.0f}; {:.0f}, {:.0f}, {:.0f}, {:.0f}",
+        "bounded"),
+    Row("cuts-refined", CUTS, "the same block with 16³ cells, halved up to 2, 4 times towards an "
+        "upper corner, cut at 1e-6, 0.3 of a cell: most iterations of a solution at the worst cut, "
+        "at the best cut: multigrid of the lattice; GAMG",
+        each("solid_3d", *(f"--cells 16 --cuts 1e-6,.3 --steps 1 --levels {levels} "
+                           f"--solver {solver}"
+                           for solver in ("own", "gamg") for levels in (2, 4))),
+        linear_iterations, "; ".join(2 * ["{:.0f}, {:.0f}, {:.0f}, {:.0f}"]), "as few as without"),
     Row("cuts-cost", CUTS, "calls of the stabilisations' code per step, without stabilisation",
         each("benchmark", f"--repeat 1 --cases 1x64 --bases gimp --stabilisations none {ALONE}"),
         lambda a: [a["stabilisations"]["gimp 1x64 none"]["stabilisation_calls_per_step"]], "{:.0f}",

@@ -5,12 +5,12 @@
 # iterations. Two bodies:
 #
 # - `block`: an elastic cube of side 1 m that compacts under its weight, on rollers, in two steps.
-#   Its upper and outer faces cut the cells where `--cuts` says (shares of a cell);
+#   Its upper and outer faces cut the cells where `--cuts` says (shares of a cell), or at random;
 # - `slope`: a slope of Mohr–Coulomb soil at 45°, as high as wide, between smooth walls, under its
 #   weight in steps until it yields at its toe, where its strength gives way at one end.
 #
-# Conjugate gradients with algebraic multigrid know the blocks of three components and the six rigid
-# modes of the unknowns that remain; a plastic tangent that is not symmetric takes GMRES.
+# Conjugate gradients have multigrid on the grid's own levels, or with `--solver gamg` algebraic
+# multigrid; a plastic tangent that is not symmetric takes GMRES.
 
 # %%
 from __future__ import annotations
@@ -39,11 +39,14 @@ class Input(Options):
     scene: str = option("block", choices=("block", "slope"))
     cells: list[int] = option([8, 12], "along the body's edge")
     cuts: list[float] = option([0.3], "shares of a cell")
+    random: int = option(0, "so many draws instead: cells, cut from 1e-6 on, nu", least=0)
+    nu: float = option(0.3, "Poisson's ratio; of draws the largest", least=0, below=0.5)
+    levels: int = option(0, "halvings of the cells towards the block's upper corner", least=0)
     basis: str = option("linear", choices=BASES)
     stabilisation: str = option("ghost", "a stabilisation against small cuts")
     points_per_cell: int = natural(2, "in each direction")
     steps: int | None = natural(None, "2 of the block, 10 of the slope by default")
-    solver: str = option("own", "factors of every tangent, or not", choices=("own", "direct"))
+    solver: str = option("own", "or factors, or GAMG", choices=("own", "direct", "gamg"))
     rtol: float | None = option(None, "of linear systems; what Newton can use by default")
 
 
@@ -51,41 +54,42 @@ args = Input.parse()
 
 
 # %%
-def block(n, cut):
-    """The elastic block; returns grid, points, law and weight (N/kg)."""
+def block(n, cut, nu):
+    """The elastic block; returns grid, body, density (kg/m³) and law."""
     h = 1.0 / n
     side = (n + 4) * h
     grid = box_grid([(0, 0, 0), (side,) * 3], (n + 4,) * 3)
     body = mpm.Box((0, 0, 0), (1 + cut * h,) * 3)
-    points = mpm.fill(grid, body, args.points_per_cell, 1000.0)
-    return grid, points, mpm.materials.Hencky(E=1e6, nu=0.3)
+    return grid, body, 1000.0, mpm.materials.Hencky(E=1e6, nu=nu)
 
 
-def slope(n, cut):
+def slope(n, cut, nu):
     """A slope, weaker at one end of it, 10 m high."""
     h = 10.0 / n
     cells = 2 * n + 2, n, n + 1
     grid = box_grid([(0, 0, 0), tuple(h * k for k in cells)], cells)
     high, foot = 10.0 + cut * h, 2.0
-    points = mpm.fill(
-        grid,
-        mpm.Where(
-            lambda x: (x[2] <= high) & ((x[2] <= foot) | (x[0] + x[2] <= 10 + foot + cut * h))
-        ),
-        args.points_per_cell,
-        2000.0,
+    body = mpm.Where(
+        lambda x: (x[2] <= high) & ((x[2] <= foot) | (x[0] + x[2] <= 10 + foot + cut * h))
     )
     soil = mpm.materials.MohrCoulomb(
-        E=20e6, nu=0.3, cohesion=lambda x: np.where(x[1] < 5, 11e3, 20e3),
+        E=20e6, nu=nu, cohesion=lambda x: np.where(x[1] < 5, 11e3, 20e3),
         friction_angle=20.0, dilation_angle=0.0,
     )  # fmt: skip
-    return grid, points, soil
+    return grid, body, 2000.0, soil
 
 
-def run(n, cut):
+def run(n, cut, nu):
     """Load a body with its weight; returns figures and points."""
-    grid, points, law = (block if args.scene == "block" else slope)(n, cut)
-    V = mpm.Space(grid, args.basis)
+    grid, body, density, law = (block if args.scene == "block" else slope)(n, cut, nu)
+    V, refine = mpm.Space(grid, args.basis), None
+    if args.levels:
+
+        def size(x):
+            return 0.3 * np.linalg.norm(x.T - 1.0, axis=1)
+
+        V = refine = mpm.Space(grid, args.basis, refine=size, levels=args.levels)
+    points = mpm.fill(grid, body, args.points_per_cell, density, refine=refine)
     u, v = V.increment, V.test
     gravity = fem.Constant(grid, (0.0, 0.0, 0.0))
     F = mpm.momentum(law, points, u, v)
@@ -95,11 +99,13 @@ def run(n, cut):
     given = {} if args.rtol is None else {"ksp_rtol": args.rtol}
     if args.solver == "direct":
         given |= {"ksp_type": "preonly", "pc_type": "lu"}
+    elif args.solver == "gamg":
+        given |= {"pc_type": "gamg"}
     problem = mpm.QuasiStatic(
         F, u, points, bcs, tolerance=1e-8, stabilisation=args.stabilisation, petsc_options=given
     )
     steps = args.steps or (2 if args.scene == "block" else 10)
-    started = time.perf_counter()
+    started, used = time.perf_counter(), time.process_time()
     for k in range(steps):
         gravity.value[2] = -GRAVITY * (k + 1) / steps
         record = problem.step()
@@ -107,7 +113,7 @@ def run(n, cut):
             f"  step {k + 1}: {record.seconds:.2f} s, {record.iterations} Newton iterations, "
             f"linear {record.linear_iterations}"
         )
-    seconds = time.perf_counter() - started
+    seconds, used = time.perf_counter() - started, time.process_time() - used
     history, comm = problem.history, points.comm
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     linear = [its for r in history for its in r.linear_iterations]
@@ -117,9 +123,11 @@ def run(n, cut):
     figures = {
         "cells": n,
         "cut": cut,
+        "nu": nu,
         "points": points.total,
         "unknowns": history[-1].unknowns,
         "seconds_a_step": seconds / steps,
+        "seconds_processor": comm.allreduce(used / steps, op=MPI.MAX),
         "newton_iterations": [r.iterations for r in history],
         "linear_iterations": linear,
         "halvings": sum(r.halvings for r in history),
@@ -137,11 +145,18 @@ def run(n, cut):
 
 
 # %%
+draws = np.random.default_rng(0)
+cases = [(n, cut, args.nu) for n in args.cells for cut in args.cuts]
+if args.random:
+    cases = [
+        (int(draws.integers(min(args.cells), max(args.cells) + 1)), 10 ** draws.uniform(-6, 0),
+         draws.uniform(0, args.nu))
+        for _ in range(args.random)
+    ]  # fmt: skip
 runs, last = [], None
-for n in args.cells:
-    for cut in args.cuts:
-        figures, last = run(n, cut)
-        runs.append(figures)
+for case in cases:
+    figures, last = run(*case)
+    runs.append(figures)
 finish(args, {"runs": runs, "ranks": MPI.COMM_WORLD.size})
 
 # %% [markdown]

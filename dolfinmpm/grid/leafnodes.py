@@ -80,25 +80,45 @@ class LeafNodes:
         _larger_leaf(fine.astype(np.int64), *search, leaves.number, larger)
         return cls(fine, corners, first, larger >= 0, _followed(leaves, fine, corners, larger))
 
+    def at(self, leaves: Leaves, fine: Ints, of: Ints) -> sparse.csr_matrix:
+        """Values at positions in leaves from the values of the nodes, shape (n, nodes).
+
+        Args:
+            leaves: The leaves of these nodes.
+            fine: Numbers of the positions' lines on the finest level, shape (n, gdim).
+            of: A leaf that contains each position, shape (n,).
+        """
+        return _in_leaves(leaves, self.corners, fine, of, len(self.fine))
+
+
+def _in_leaves(leaves: Leaves, corners: Ints, fine: Ints, of: Ints, count: int):
+    """Values at lines of the finest level from the corners of leaves, shape (n, count)."""
+    from scipy import sparse
+
+    gdim = fine.shape[1]
+    share = (fine - leaves.low[of]) / leaves.size[of, None]
+    weights = np.ones((len(fine), 1 << gdim))
+    for a, offset in enumerate(np.ndindex(*(2,) * gdim)):
+        for d, upper in enumerate(offset):
+            weights[:, a] *= share[:, d] if upper else 1.0 - share[:, d]
+    start = (1 << gdim) * np.arange(len(fine) + 1)
+    shape = len(fine), count
+    matrix = sparse.csr_matrix((weights.ravel(), corners[of].ravel(), start), shape=shape)
+    matrix.eliminate_zeros()
+    return matrix
+
 
 def _followed(leaves: Leaves, fine: Ints, corners: Ints, larger: Ints) -> sparse.csr_matrix:
     """The matrix of hanging nodes."""
     from scipy import sparse
 
-    gdim, n = fine.shape[1], len(fine)
-    rows = np.flatnonzero(larger >= 0)
-    of = larger[rows]
-    share = (fine[rows] - leaves.low[of]) / leaves.size[of, None]
-    weights = np.ones((rows.size, 1 << gdim))
-    for a, offset in enumerate(np.ndindex(*(2,) * gdim)):
-        for d, upper in enumerate(offset):
-            weights[:, a] *= share[:, d] if upper else 1.0 - share[:, d]
-    free = np.flatnonzero(larger < 0)
-    i = np.concatenate([free, np.repeat(rows, 1 << gdim)])
-    j = np.concatenate([free, corners[of].ravel()])
-    values = np.concatenate([np.ones(free.size), weights.ravel()])
+    n = len(fine)
+    free, rows = np.flatnonzero(larger < 0), np.flatnonzero(larger >= 0)
+    hanging = _in_leaves(leaves, corners, fine[rows], larger[rows], n).tocoo()
+    i = np.concatenate([free, rows[hanging.row]])
+    j = np.concatenate([free, hanging.col])
+    values = np.concatenate([np.ones(free.size), hanging.data])
     matrix = sparse.csr_matrix((values, (i, j)), shape=(n, n))
-    matrix.eliminate_zeros()
     # masters that hang follow their own masters
     while matrix.nnz and np.any(larger[matrix.indices] >= 0):
         matrix = sparse.csr_matrix(matrix @ matrix)

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.solve.method import SUBSTRUCTURES, Method
+from dolfinmpm.solve.method import LATTICE, SUBSTRUCTURES, Method
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.substructures import Substructures
 
@@ -79,14 +79,14 @@ def create(comm: MPI.Intracomm, method: Method, options: Options, softened: bool
 
 def _suggestions(method: Method, options: Options) -> dict[str, object]:
     """Options of a method, besides the user's options."""
-    own = {**method.options}
+    pc, package = options.get("pc_type"), options.get("pc_factor_mat_solver_type")
+    own = {**(LATTICE if pc == "mg" else method.options)}
     if method.package == "cholmod":
         # an indefinite tangent needs no message on the terminal
         own["mat_cholmod_print"] = 0
     if keeps(method, options):
         # `PreconditionerReuse` decides when SNES makes a new preconditioner
         own["snes_lag_preconditioner"] = -2
-    pc, package = options.get("pc_type"), options.get("pc_factor_mat_solver_type")
     if pc in ("lu", "cholesky") and package is None:
         own["pc_factor_mat_solver_type"] = "mumps"
     if pc is None and package not in (None, "cholmod"):

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.solve import krylov, schur
+from dolfinmpm.solve import krylov, latticelevels, schur
 from dolfinmpm.solve.method import Method, Tangent, as_used, crossover
 from dolfinmpm.solve.mumps import WORKSPACE, Mumps
 from dolfinmpm.solve.operator import Operator
@@ -71,7 +71,7 @@ class LinearSolver:
         """Whether the method for a number of unknowns needs the unknowns of a node in a block."""
         pc = self._options.get("pc_type")
         if pc is not None:
-            return pc in ("gamg", "hypre", "ml")
+            return pc in ("gamg", "hypre", "mg", "ml")
         return count >= crossover(self.choice.tangent, self._gdim)
 
     @property
@@ -155,15 +155,18 @@ class LinearSolver:
         A.setOption(PETSc.Mat.Option.SYMMETRIC, self.choice.tangent.symmetric)
         if self.choice.tangent.symmetric and self.choice.definite:
             A.setOption(PETSc.Mat.Option.SPD, True)
-        if here.unknowns.block > 1:
-            A.setNearNullSpace(near_kernel(here, A))
         pc = self._ksp.getPC()
-        if pc.getType() == "fieldsplit":
+        kind = pc.getType()
+        if kind == "mg":
+            latticelevels.set_levels(pc, here)
+        elif here.unknowns.block > 1:
+            A.setNearNullSpace(near_kernel(here, A))
+        if kind == "fieldsplit":
             schur.split(pc, here, A)
         self._mumps.apply(self._ksp, A)
         if self.reuse is not None:
             self.reuse.renew()
-        made = pc.getPythonContext() if pc.getType() == "python" else None
+        made = pc.getPythonContext() if kind == "python" else None
         if isinstance(made, Substructures) and not made.pays(A):
             self.choice.no_substructures = "too many unknowns between the ranks"
             self._choose(here.unknowns.total)

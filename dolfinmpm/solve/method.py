@@ -10,6 +10,7 @@ from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = [
+    "LATTICE",
     "SUBSTRUCTURES",
     "Method",
     "Tangent",
@@ -25,6 +26,13 @@ __all__ = [
 # two cells make rows four times as long. This costs iterations more than factors.
 _CROSSOVER = {1: 10**9, 2: 250_000, 3: 9_000}
 _CROSSOVER_OF_WIDE = {1: 10**9, 2: 250_000, 3: 60_000}
+# The same with the lattice's own levels, by the degree of the functions. With cubic splines a sweep
+# of Gauss–Seidel smooths little.
+_CROSSOVER_ON_LATTICE = {
+    1: {1: 10**9, 2: 50_000, 3: 7_000},
+    2: {1: 10**9, 2: 50_000, 3: 20_000},
+    3: _CROSSOVER_OF_WIDE,
+}
 
 # Number of unknowns from which factors may be kept for the next tangent, or incomplete factors may
 # be tried. Below this number the decision costs more than new factors.
@@ -47,6 +55,15 @@ _MULTIGRID = {
 # Gauss–Seidel needs half of the iterations, but more time.
 _MULTIGRID_OF_WIDE = {**_MULTIGRID, "mg_levels_pc_type": "sor", "pc_gamg_threshold": 0.0}
 
+
+# Multigrid on the lattice's own levels (`dolfinmpm.solve.latticelevels`). One symmetric sweep of
+# Gauss–Seidel smooths. It needs no estimate of eigenvalues, and takes wide functions as well.
+LATTICE = {
+    "pc_mg_galerkin": "pmat",
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_ksp_max_it": 1,
+    "mg_levels_pc_type": "sor",
+}
 
 # A displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle of
 # multigrid per block (White & Borja 2011, doi 10.1007/s10596-011-9233-7). `dolfinmpm.solve.schur`
@@ -88,6 +105,7 @@ class Tangent:
         porous: Whether the fields are a displacement and a scalar.
         wide: Whether functions of the displacement are wider than two cells (splines), or averaged
             over domains (GIMP).
+        degree: Degree of the functions if the lattice's own levels make multigrid, else 0.
     """
 
     symmetric: bool
@@ -96,6 +114,7 @@ class Tangent:
     fields: int = 1
     porous: bool = False
     wide: bool = False
+    degree: int = 0
 
 
 @dataclass(frozen=True)
@@ -134,7 +153,7 @@ class Method:
     def __str__(self) -> str:
         name = {
             "lu": "LU", "cholesky": "Cholesky", "gamg": "GAMG", "ilu": "incomplete LU",
-            "bjacobi": "incomplete LU per rank",
+            "bjacobi": "incomplete LU per rank", "mg": "multigrid of the lattice",
         }.get(self.pc, self.pc)  # fmt: skip
         package = f" by {_NAMES.get(self.package, self.package.upper())}" if self.package else ""
         outer = "" if self.ksp == "preonly" else f"{self.ksp.upper()} with "
@@ -201,6 +220,8 @@ def symmetric(form: WeakForm) -> bool:
 
 def crossover(tangent: Tangent, gdim: int) -> int:
     """Number of unknowns from which iterations are faster than factors."""
+    if tangent.degree and tangent.fields == 1:
+        return _CROSSOVER_ON_LATTICE[tangent.degree][gdim]
     return (_CROSSOVER_OF_WIDE if tangent.wide and tangent.fields == 1 else _CROSSOVER)[gdim]
 
 
@@ -251,6 +272,8 @@ def choose(
         krylov = (
             "cg" if tangent.symmetric and tangent.definite and not tangent.softened else "gmres"
         )
+        if tangent.degree:
+            return Method(krylov, "mg", "", why, True, LATTICE)
         cycles = _MULTIGRID_OF_WIDE if tangent.wide and gdim == 3 else _MULTIGRID
         return Method(krylov, "gamg", "", why, True, cycles)
     why = f"{count} unknowns, {kind}"

@@ -15,6 +15,7 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
 from dolfinmpm.assembly.state import HasState
 from dolfinmpm.assembly.term import NewState
+from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
@@ -150,6 +151,7 @@ class QuasiStatic(Problem):
         tangent = Tangent(
             symmetric(self.form), definite, self.form.softened, len(shapes),
             shapes == [(points.gdim,), ()], wide=basis.averaged or basis.continuity > 0,
+            degree=basis.degree if isinstance(basis, LatticeBasis) else 0,
         )  # fmt: skip
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations

@@ -105,6 +105,9 @@ class MethodChoice:
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._gdim, self._ranks, self._options = gdim, comm.size, options
+        if options.get("pc_type") not in (None, "mg"):
+            # another multigrid by options has its own levels
+            tangent = replace(tangent, degree=0)
         self.tangent, self.doubt = tangent, Doubt()
         self.no_substructures = why_not(comm)
         if options.mentions("mat_mumps_"):

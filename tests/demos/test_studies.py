@@ -316,7 +316,7 @@ def test_solid_3d_by_multigrid(stabilisation, cells):
     direct = run("solid_3d", "--no-plot", *options.split(), "--solver", "direct")["runs"]
     for found, other in zip((tiny, large), direct):
         assert found["unknowns"] == other["unknowns"] == unknowns_of_a_block(14)
-        assert found["method"].startswith("CG with GAMG: 9030 unknowns")
+        assert found["method"].startswith("CG with multigrid of the lattice: 9030 unknowns")
         assert found["newton_iterations"] == other["newton_iterations"]
         assert len(found["linear_iterations"]) == sum(found["newton_iterations"])
         assert 1 <= min(found["linear_iterations"]) <= max(found["linear_iterations"]) <= 10

@@ -48,6 +48,7 @@ CASES = {
         stabilisations.stabilisations_triangles,
         stabilisations.stabilisations_bspline2,
         stabilisations.facets_of_few_ranks,
+        stabilisations.lattice_multigrid,
         stabilisations.adaptive_penalties,
         plasticity.large_strain,
         plasticity.small_strain,

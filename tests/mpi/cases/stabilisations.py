@@ -56,6 +56,35 @@ def stabilisations_bspline2():
     return _stabilisations("bspline2")
 
 
+def lattice_multigrid():
+    """A leaning body by multigrid of the lattice, whose levels span ranks."""
+    figures = {}
+    for basis, kind, levels in (
+        ("gimp", "ghost", 0), ("linear", "aggregation", 0), ("bspline2", "ghost", 0),
+        ("gimp", "ghost", 2), ("linear", "aggregation", 2),
+    ):  # fmt: skip
+        grid = mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (36, 36), mesh.CellType.quadrilateral)
+        refined = {"refine": lambda x: 0.05 + 0.1 * np.hypot(*(x[:2] - 4.0)), "levels": levels}
+        V = mpm.Space(grid, basis, **(refined if levels else {}))
+        points = mpm.fill(
+            grid, mpm.Box((1.3, 0), (6.2, 5.15)), 2, 1.0, refine=V if levels else None
+        )
+        g = fem.Constant(grid, (0.0, 0.0))
+        F = hencky(points, V, ghost=False, E=100.0) - ufl.inner(g, V.test) * points.dX
+        options = {"ksp_type": "cg", "pc_type": "mg", "ksp_rtol": 1e-12}
+        problem, result = run(
+            points, V, F, mpm.fixed(V, "bottom"), [(0.1, -0.5)], g, stabilisation=kind,
+            petsc_options=options,
+        )  # fmt: skip
+        result.pop("moved")
+        # the smoother differs between ranks, the levels do not
+        ksp = problem.newton.linear.snes.getKSP()
+        result["levels"] = ksp.getPC().getMGLevels()
+        result["few iterations"] = ksp.getIterationNumber() <= 25
+        figures[f"{basis} {levels}"] = result
+    return figures
+
+
 def adaptive_penalties():
     """Ghost penalties by the tangent of soil that yields, on lattices and on triangles."""
     figures = {}
