@@ -73,7 +73,7 @@ class GridMesh:
 
 
 def leaf_mesh(leaves: Leaves, points: MaterialPoints) -> tuple[Any, Arrays]:
-    """This rank's share of the cells of a refined space, and their `active` and `level`. Collective.
+    """This rank's share of a refined space's cells, their `active` and `level`. Collective.
 
     The cells fill the grid: also parts of a cell without points are there.
 
