@@ -379,3 +379,12 @@ def test_refinement(tmp_path):
     assert figures["patch"]["worst"] < 1e-12
     for name in ("refinement.png", "refinement.csv"):
         assert (tmp_path / name).stat().st_size > 0
+
+
+def test_slope_failure_with_leaves_that_follow_the_band(tmp_path):
+    figures = run("slope_failure", "--refine", "yield", "--output", str(tmp_path))
+    assert figures["completed"]
+    # on a grid of half the size it is 3.86 m
+    assert figures["runout"] == pytest.approx(3.88, abs=0.1)
+    assert figures["split"] > 300
+    assert (tmp_path / "slope_failure.png").stat().st_size > 0
