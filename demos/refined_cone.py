@@ -58,4 +58,6 @@ split = sum(record.split for record in problem.history)
 error = found / factor - 1
 if MPI.COMM_WORLD.rank == 0:
     print(f"factor {found:.2f}, {100 * error:+.1f} % from {factor:.2f}; {split} points split")
-assert abs(error) < 0.15 and split > 100 and abs(change) < 1e-13
+assert split > 100
+assert abs(change) < 1e-13
+assert abs(error) < 0.15
