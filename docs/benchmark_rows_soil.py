@@ -88,6 +88,16 @@ ROWS = (
         "(m), unknowns at the end; the same on a grid of 0.5 m",
         each("slope_failure", "--refine yield", "--h 0.5"), keys("runout", "unknowns"),
         "{:.2f}, {:.0f}; {:.2f}, {:.0f}", quick=True),
+    Row("screw", STEEL, "screw pile in weightless clay, cells of half the plate's radius, pitch-"
+        "matched, over-flighted by half: vertical force over c_u π R², torque over 2 c_u π R³",
+        each("screw_pile", ""), lambda a: [
+            run[name] for run in a["runs"] for name in ("force_factor", "torque_factor")],
+        "{:+.2f}, {:.2f}; {:+.2f}, {:.2f}", "pulled down by over-flighting"),
+    Row("anchor", STEEL, "drag anchor in weightless clay, cells of a quarter of the fluke: "
+        "inclination of the fluke, angle at which it dives (°), tension over c_u A",
+        each("drag_anchor", ""),
+        lambda a: [a["inclination"], a["dive"], a["tension"] / 1e4], "{:.1f}, {:.1f}, {:.1f}",
+        "Neubecker & Randolph (1996): 26.6, 27.5"),
     Row("cavity", RINGS, "cavity expansion, Hencky, ν = 0.3, b/a = 2: error of the pressure at "
         "r(a)/a = 1.5, cylinder and sphere (%)",
         each("cavity_expansion", "--ratio 1.5", "--ratio 1.5 --shape sphere"), percent("error"),

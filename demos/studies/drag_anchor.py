@@ -17,6 +17,13 @@
 # Then the fluke's inclination is $\theta_w - \theta_a$, and the path follows from it. The line
 # itself is that equation here too; the anchor is not. Its forces on the line are those of the step
 # before, so that steps are short.
+#
+# What comes out over 0.5 m, in cells of 0.25 m: the fluke, laid at 35°, pitches within a third of a
+# metre to the attitude that the line asks for: 24.6° on the second half of the way, 26.6° after
+# Neubecker and Randolph. The tension settles at 45 kN, 4.5 strengths on the fluke's area. But the
+# fluke dives at 14° only, half its inclination: a blunt fluke, a fifth as thick as long, pushes
+# clay down under its tip, and gaps stay open behind it, for the clay has no weight. A fluke that
+# is laid at 22° finds no equilibrium in the first step.
 
 # %%
 from __future__ import annotations
@@ -40,9 +47,9 @@ BEARING = 7.6  # N_c of a line in clay
 class Input(Options):
     """An anchor is dragged through clay."""
 
-    way: float = positive(0.4, "of the drag (m)")
+    way: float = positive(0.5, "of the drag (m)")
     step: float = positive(0.025, "of the way (m)")
-    inclination: float = option(22.0, "of the fluke at first (degrees)", least=0, most=80)
+    inclination: float = option(35.0, "of the fluke at first (degrees)", least=0, most=80)
     eye: float = option(
         50.0, "between fluke and the way to the pad eye (degrees)", above=0, most=90
     )
@@ -87,8 +94,8 @@ class Line:
         forward = max(0.0, -float(self.anchor.force[0]))
         depth = -float(self.anchor.position[2]) - self.args.arm * 0.5
         side = BEARING * self.args.line * STRENGTH * depth / 2  # half of the anchor
-        # T θ²/2 = Q z, where T cos θ balances the clay
-        self.angle = math.sqrt(2 * side / max(forward, side))
+        # T θ²/2 = Q z, where T cos θ balances the clay; no line is steeper than 40° at first
+        self.angle = math.sqrt(2 * side / max(forward, 4 * side))
         self.tension = forward / math.cos(self.angle)
         return forward, self.tension * math.sin(self.angle)
 

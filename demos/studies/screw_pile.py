@@ -12,6 +12,16 @@
 # the excess. Over-flighting pulls the pile down: the plate lifts soil, and the push that is needed
 # becomes smaller, and at last a pull upward (Sharif et al. 2021, doi 10.1680/jgeot.19.P.352;
 # Cerfontaine et al. 2021, doi 10.1680/jgeot.20.P.277).
+#
+# What comes out in cells of 0.25 m, over the last third of a turn by 60°, without friction:
+#
+# - Pitch-matched, the pile needs a push of 16 kN, two strengths on the plate's area, and 2.5 kN m.
+#   The push by $p/2\pi$ is 1.0 kN m, at most, of it; the plate's leading edge makes the rest.
+# - With half the advance the clay pulls the pile down by 15 kN, and the torque doubles to
+#   4.8 kN m. The pull still grows at the end.
+#
+# The plate reaches 1.5 cells beyond the shaft, and the torque jumps by a third from step to step,
+# as corners meet the plate's edge. Signs and sizes can be relied upon, figures cannot.
 
 # %%
 from __future__ import annotations
@@ -35,13 +45,13 @@ class Input(Options):
     """A screw pile in clay: torque and vertical force at several advance ratios."""
 
     ratios: list[float] = option([1.0, 0.5], "advance per turn in pitches", least=0)
-    pitch: float = positive(0.25, "of the plate (m)")
-    shaft: float = positive(0.2, "radius of the shaft (m)", below=0.5)
-    thickness: float = positive(0.1, "of the plate (m)")
+    pitch: float = positive(0.4, "of the plate (m)")
+    shaft: float = positive(0.12, "radius of the shaft (m)", below=0.5)
+    thickness: float = positive(0.15, "of the plate (m)")
     friction: float = option(0.0, "of the pile's surface", least=0)
-    levels: int = option(2, "how often cells of 0.5 m are halved near the pile", least=1, most=4)
-    turn: float = positive(120.0, "in all (degrees)")
-    step: float = positive(10.0, "turn at once (degrees)")
+    levels: int = option(1, "how often cells of 0.5 m are halved near the pile", least=1, most=4)
+    turn: float = positive(60.0, "in all (degrees)")
+    step: float = positive(7.5, "turn at once (degrees)")
     sides: int = natural(24, "of the polygon that stands for a circle")
 
 
@@ -126,6 +136,7 @@ def run(ratio, args):
         "torque": torque,
         "force_factor": force / (area * STRENGTH),
         "torque_factor": torque / (2 * area * RADIUS * STRENGTH),
+        "torque_by_force": torque / force,
         "lever": force * args.pitch / (2 * math.pi),
         "work": torque * math.radians(args.step) + force * down,
         "curve": [history[name].tolist() for name in ("turn", "force", "torque")],
