@@ -5,6 +5,7 @@ from __future__ import annotations
 from benchmark_rows import Answer, Row, each, keys
 
 RINGS, STEEL, WATER = "Axisymmetric bodies", "Soil and steel", "Soil and water"
+LEAVES = "Refined spaces"
 EXACT = "exact: 0"
 TOUCHING = "--contact bodies --integrator newmark --mass consistent --mapping flip"
 SWEEP = "--sweep --load 1e-3 --permeability constant --theta 1"
@@ -45,7 +46,59 @@ def _atlas_bases(answer: Answer) -> list[float]:
     return [*(100 * answer["success_with_ghost"][name] for name in bases), answer["problems"]]
 
 
+def _leaf_corner(answer: Answer) -> list[float]:
+    """Orders in the energy norm: uniform, graded lines, leaves; unknowns of leaves for their error,
+    over those of a uniform grid (%)."""
+    found = answer["corner"]
+    kinds = "uniform", "graded lines", "leaves"
+    return [*(found["orders"][kind] for kind in kinds), 100 * found["share"]]
+
+
+def _leaf_footing(answer: Answer) -> list[float]:
+    """Least errors (%) and their unknowns: uniform, graded lines, leaves; share as above (%)."""
+    runs = answer["footing"]["runs"]
+    last = [[r for r in runs if r["grid"] == g][-1] for g in ("uniform", "graded lines", "leaves")]
+    figures = [f for r in last for f in (100 * r["error"], r["unknowns"])]
+    return [*figures, 100 * answer["footing"]["share"]]
+
+
 ROWS = (
+    Row("leaf-corner", LEAVES, "L-shaped body, exact singular solution: order of the energy norm "
+        "on a uniform grid, between graded lines, in leaves; unknowns of leaves over those of a "
+        "uniform grid with the same error (%)",
+        each("refinement", "--parts corner"), _leaf_corner, "{:.2f}, {:.2f}, {:.2f}; {:.2g}",
+        "exact: 0.54, 1, 1", quick=True),
+    Row("leaf-footing", LEAVES, "smooth strip footing on Tresca clay, F-bar: error of the load (%) "
+        "and unknowns, uniform cells of 1/32 of the half-width, graded lines, leaves; unknowns of "
+        "leaves over those of a uniform grid with the same error (%)",
+        each("refinement", "--parts footing"), _leaf_footing,
+        "{:.2f}, {:.0f}; {:.2f}, {:.0f}; {:.2f}, {:.0f}; {:.2g}", "exact: 0"),
+    Row("leaf-column", LEAVES, "column under its weight, leaves half as large in its lowest "
+        "quarter: unknowns over those of a uniform grid with the same error (%)",
+        each("refinement", "--parts column"), lambda a: [100 * a["column"]["share"]], "{:.0f}",
+        quick=True),
+    Row("leaf-cuts", LEAVES, "200 blocks that cut leaves of three sizes: worst over best κ(K), 2D "
+        "with ghost penalty, with aggregation; 30 in 3D; largest error of patches on 20 random "
+        "trees", (*each("refinement", "--parts conditioning,patch",
+                        "--parts conditioning --stabilisation aggregation",
+                        "--parts conditioning --dimension 3 --places 30"),),
+        lambda a, b, c: [*(x["conditioning"]["spread"] for x in (a, b, c)), a["patch"]["worst"]],
+        "{:.3g}, {:.3g}; {:.3g}; {:.0e}", "at most 20; rounding errors"),
+    Row("leaf-slope", LEAVES, "slope with a weak zone, cells of 1 m halved where it yields: runout "
+        "(m), unknowns at the end; the same on a grid of 0.5 m",
+        each("slope_failure", "--refine yield", "--h 0.5"), keys("runout", "unknowns"),
+        "{:.2f}, {:.0f}; {:.2f}, {:.0f}", quick=True),
+    Row("screw", STEEL, "screw pile in weightless clay, cells of half the plate's radius, pitch-"
+        "matched, over-flighted by half: vertical force over c_u π R², torque over 2 c_u π R³",
+        each("screw_pile", ""), lambda a: [
+            run[name] for run in a["runs"] for name in ("force_factor", "torque_factor")],
+        "{:+.2f}, {:.2f}; {:+.2f}, {:.2f}", "pulled down by over-flighting"),
+    Row("anchor", STEEL, "drag anchor in weightless clay, cells of a quarter, an eighth of the "
+        "fluke: inclination of the fluke, angle at which it dives (°), tension over c_u A",
+        each("drag_anchor", "", "--levels 2 --way 0.4"), lambda *answers: [
+            f for a in answers for f in (a["inclination"], a["dive"], a["tension"] / 1e4)],
+        "{:.1f}, {:.1f}, {:.1f}; {:.1f}, {:.1f}, {:.1f}",
+        "Neubecker & Randolph (1996): 26.6, 27.5; 24.3, 25.8"),
     Row("cavity", RINGS, "cavity expansion, Hencky, ν = 0.3, b/a = 2: error of the pressure at "
         "r(a)/a = 1.5, cylinder and sphere (%)",
         each("cavity_expansion", "--ratio 1.5", "--ratio 1.5 --shape sphere"), percent("error"),

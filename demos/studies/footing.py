@@ -34,6 +34,9 @@
 # - Prandtl's limit is overestimated by 1.8 % with F-bar and cells of 0.05 m at the edge, by 5.8 %
 #   without, where the load still rises; by 2.3 and 8.7 % with cells of 0.1 m. (E/c is 10⁴ there, so
 #   that the clay flows before its shape changes.)
+# - Cells of 0.5 m that are halved to 1/64 m at the edge (`--refine 0.015625 --growth 0.2 --h 0.5
+#   --coarsest 0.5 --modulus 1e9 --steps 20`) overestimate it by 0.45 % with 1856 unknowns. Equal
+#   cells of 1/16 m miss by 0.99 % with 38 400 unknowns.
 #
 # - Loaded in time, within 100 s by explicit steps (`--integrator explicit`), the Cam-Clay footing
 #   with 2² points settles by 0.684 m in the centre and 0.632 m on average; equilibrium load by
@@ -44,6 +47,7 @@
 # `tests/reference/footings.py`.
 
 # %%
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -95,6 +99,10 @@ class Input(Options):
         "size of the cells (m) far from the footing's edge; by the law; h for equal ones",
         most=2,
     )
+    refine: float | None = positive(
+        None, "size (m) to which cells are halved at the footing's edge, with GIMP or linear"
+    )
+    growth: float = positive(0.1, "of the size of halved cells with the distance from the edge")
     points_per_cell: int | None = natural(None, "in each direction; by the law")
     steps: int | None = natural(None, "of the footing; by the law")
     load: float | None = positive(None, "last pressure of a flexible footing (Pa)")
@@ -132,6 +140,19 @@ class Input(Options):
 
 
 # %%
+def refinement(args):
+    """Arguments of the space: cells are halved towards the footing's edge, or none are."""
+    if args.refine is None:
+        return {}
+    edge = np.array([[HALF_WIDTH], [DEPTH]])
+
+    def size(x):
+        return np.maximum(args.refine, args.growth * np.linalg.norm(x - edge, axis=0)) * 1.0001
+
+    levels = max(0, math.ceil(math.log2(args.coarsest / args.refine) - 1e-3))
+    return {"refine": size, "levels": levels, "per_cell": args.points_per_cell}
+
+
 def law_of(args):
     """The law; and the unit weight of the ground (N/m³) and the pressure on its top (Pa)."""
     if args.law == "cam-clay":
@@ -173,17 +194,17 @@ class Scene:
             lines(DEPTH + ROOM, DEPTH, args.h, args.coarsest),
         )
         self.args = args
+        V = mpm.Space(grid, args.basis, **refinement(args))
         law, self.weight, surcharge = law_of(args)
         self.internal = next(iter(law.internal))
         body = mpm.Box((0, 0), (WIDTH, DEPTH))
         # any density where there is no weight
         density = self.weight / GRAVITY or 1000.0
-        self.points = points = mpm.fill(grid, body, args.points_per_cell, density)
+        self.points = points = mpm.fill(grid, body, args.points_per_cell, density, refine=V)
         top = mpm.Surface(points, lambda x: np.isclose(x[1], DEPTH), (0, 1), name="top")
         self.under = under = mpm.Surface(
             points, lambda x: np.isclose(x[1], DEPTH) & (x[0] < HALF_WIDTH), (0, 1), name="under"
         )
-        V = mpm.Space(grid, args.basis)
         u, v = V.increment, V.test
         self.gravity = fem.Constant(grid, (0.0, 0.0))
         self.pressure = fem.Constant(grid, (0.0, 0.0))

@@ -25,7 +25,9 @@ __all__ = [
     "CellSize",
     "Refinement",
     "SizeAt",
+    "leaves_on",
     "refinement_of",
+    "refinements_on",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -194,3 +196,14 @@ def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:
         # the arguments stay alive with the result, so that their ids stay theirs
         known[key] = every, Refinement(grid, _sizes(refine), levels)
     return known[key][1]
+
+
+def refinements_on(grid: Mesh) -> list[Refinement]:
+    """The refinements of all spaces of a grid, in the order in which they were made."""
+    return [made for _, made in grid.__dict__.get("_dolfinmpm_refinements", {}).values()]
+
+
+def leaves_on(grid: Mesh) -> Leaves | None:
+    """The present leaves of the last refined space of a grid, for pictures; None without any."""
+    found = [made.leaves for made in refinements_on(grid) if made.leaves is not None]
+    return found[-1] if found else None

@@ -20,6 +20,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import check_kind, choice, file_path, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm.basis.refinement import leaves_on
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.pyvistamesh import domains
@@ -96,7 +97,7 @@ class Film:
         self._folder = tempfile.TemporaryDirectory() if self._comm.rank == 0 else None
         self._count = 0
         self._extent = extent_of(points.grid)
-        self._lines = grid_lines(points.grid, None) if points.gdim == 2 else None
+        self._lines = self._present_lines()
         self._unit = points.unit_of(look.colour)
 
     def __enter__(self) -> Film:
@@ -125,6 +126,8 @@ class Film:
         call_together(self._comm, lambda: number("time", time))
         derived = colour == "displacement" and colour not in points.fields
         gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
+        refined = leaves_on(points.grid) is not None
+        lines = self._present_lines() if refined else None
 
         def keep() -> None:
             if gathered is None or self._folder is None:
@@ -132,12 +135,18 @@ class Film:
             x, F, half, half0, values = gathered
             values = x - values if derived else values
             bodies = [body.outline(*self._extent.T) for body in self._bodies]
-            frame = Frame(time, x, in_section(points, F), half, half0, values, bodies)
+            F = in_section(points, F)
+            frame = Frame(time, x, F, half, half0, values, bodies, lines)
             file = Path(self._folder.name, f"frame{self._count:06d}")
             file.write_bytes(pickle.dumps(frame))
 
         call_together(self._comm, keep)
         self._count += 1
+
+    def _present_lines(self) -> Array | None:
+        """Lines of the grid, or of the leaves that there are now. Collective."""
+        points = self._points
+        return grid_lines(points.grid, None) if points.gdim == 2 else None
 
     @collective(comm_of=_comm_of)
     def close(self) -> None:
@@ -187,7 +196,8 @@ def animate(
 ) -> Film | None:
     """A film of the material points as .mp4 or .gif. Collective.
 
-    In 1D and 2D Matplotlib draws as `plot` does. In 3D PyVista draws the domains of the points.
+    In 1D and 2D Matplotlib draws as `plot` does, also the leaves of a refined space as they are at
+    the time of the frame. In 3D PyVista draws the domains of the points.
 
     Args:
         source: The .pvd file of a series that `ParaView` has written: the film is written at once.
@@ -329,6 +339,8 @@ def _edges(frame: Frame, look: _Look) -> Array:
 
 
 def _draw_flat(frame, values, label, limits, picture, look: _Look, extent, lines) -> None:
+    if frame.lines is not None:
+        lines = frame.lines
     scene = Scene(
         frame.x, _edges(frame, look), values, label, look.draw == "dots", lines, limits, 5.0,
         look.cmap, look.size, frame.bodies,

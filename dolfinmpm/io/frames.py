@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.errors import CheckpointError, ParameterError
+from dolfinmpm.io.plots import lines_of_boxes
 
 __all__ = ["Frame", "Series"]
 
@@ -29,6 +30,7 @@ class Frame:
         half0: Their first half-lengths (m), shape (n, d).
         values: The field to colour by, shape (n, ...).
         bodies: Facets of rigid bodies (m), each of shape (m, d, d).
+        lines: Ends of the lines of leaves (m), shape (n, 2, 2), or None for those of the grid.
     """
 
     time: float
@@ -38,6 +40,7 @@ class Frame:
     half0: Array
     values: Array
     bodies: list[Array]
+    lines: Array | None = None
 
 
 class Series:
@@ -60,8 +63,8 @@ class Series:
     def __init__(self, path: str | Path):
         self.path = Path(path)
         self._entries = _entries(self.path)
-        grid = self.path.with_name(f"{self.path.stem}_grid.pvd")
-        nodes = _array(_read(_entries(grid)[0][1]).GetPoints().GetData())
+        self._grids = _entries(self.path.with_name(f"{self.path.stem}_grid.pvd"))
+        nodes = _array(_read(self._grids[0][1]).GetPoints().GetData())
         sizes = np.ptp(nodes, axis=0)
         self.gdim = max(1, int(np.count_nonzero(sizes > 1e-12 * sizes.max(initial=1e-300))))
         # nodes of one line differ by rounding
@@ -106,7 +109,19 @@ class Series:
         order = np.argsort(_array(fields.GetArray("id"))) if fields.HasArray("id") else slice(None)
         F = F.reshape(-1, 3, 3)[order, :d, :d]
         half, half0 = half[order, :d], half0[order, :d]
-        return Frame(time, x[order], F, half, half0, values[order], self._facets(index))
+        facets, lines = self._facets(index), self._leaves(index)
+        return Frame(time, x[order], F, half, half0, values[order], facets, lines)
+
+    def _leaves(self, index: int) -> Array | None:
+        """Lines of the leaves of one time in 2D, if the files have leaves."""
+        if self.gdim != 2 or index >= len(self._grids):
+            return None
+        data = _read(self._grids[index][1])
+        if not data.GetCellData().HasArray("level"):
+            return None
+        rows = _array(data.GetCells().GetConnectivityArray()).reshape(-1, 4)
+        x = _array(data.GetPoints().GetData())[rows, :2]
+        return lines_of_boxes(x.min(axis=1), x.max(axis=1))
 
     def _facets(self, index: int) -> list[Array]:
         if index >= len(self._bodies):

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from dolfinx import fem, plot
+from dolfinx import fem
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.argumentchecks import file_path, number, shown, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm.basis.refinement import leaves_on, refinements_on
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
-from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
+from dolfinmpm.io.gridmesh import GridMesh, leaf_mesh, padded
 from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.paraviewrecipe import recipe_text
 from dolfinmpm.io.vtkfiles import (
@@ -68,7 +67,8 @@ class ParaView:
     =============  ==========  =======  =======================================
 
     The unit is also in the file, as the array's UNITS_LABEL. The grid's cells carry
-    `active`: 1 where a material point is in the cell, else 0.
+    `active`: 1 where a material point is in the cell, else 0. The cells of a refined space are its
+    leaves, at every time. They also carry `level`: how often a cell of the grid is halved.
 
     Args:
         path: File of the points' series; ends in ".pvd".
@@ -77,7 +77,8 @@ class ParaView:
             of a law are fields with the names in `Law.internal`, once a problem has been made.
         increments: Lagrange or piecewise constant functions on the grid, such as
             `Space.increment` (m). They are written with `active` at every time. Without
-            increments only the mesh is written, once.
+            increments only the mesh is written, once. With increments the cells are those of the
+            grid, where the increments have their nodes, also for a refined space.
         active: True writes the grid with `active` at every time, even without increments.
         bodies: Rigid bodies. Their facets are a separate series, `output/column_bodies.pvd`. The
             facets carry `body`, the number of the body in this list, and the `force` (N) and
@@ -123,12 +124,13 @@ class ParaView:
         self.comm = points.comm
         self._fields = _words("fields", fields)
         self._increments = _functions("increments", increments)
-        self._grid_each_time = truth("active", active) or bool(self._increments)
+        self._leaves = bool(refinements_on(points.grid)) and not self._increments
+        self._grid_each_time = truth("active", active) or bool(self._increments) or self._leaves
         check_bodies(bodies, points.gdim)
         self._bodies = list(bodies)
         self._times: list[float] = []
         call_together(self.comm, self._check_arguments)
-        self._mesh = call_together(self.comm, lambda: _GridMesh(points.grid, self._increments))
+        self._mesh = call_together(self.comm, lambda: GridMesh(points.grid, self._increments))
         self._on_root(self._write_series)
         self._on_root(self._write_recipe)
         take_paths(self, self._paths)
@@ -212,7 +214,7 @@ class ParaView:
         for name in names:
             derived = name == "displacement" and name not in points.fields
             values = points["x"] - points["x0"] if derived else points[name]
-            arrays[name] = _padded(values, 1.0 if name == "F" else 0.0)
+            arrays[name] = padded(values, 1.0 if name == "F" else 0.0)
             units[name] = points.unit_of(name)
         return arrays, units
 
@@ -220,13 +222,18 @@ class ParaView:
         from vtkmodules.vtkCommonDataModel import vtkPolyData
 
         piece = vtkPolyData()
-        piece.SetPoints(vtk_points(_padded(self.points["x"])))
+        piece.SetPoints(vtk_points(padded(self.points["x"])))
         # without a vertex cell each, most filters would see no points
         piece.SetVerts(vtk_cells(np.arange(len(self.points))[:, None]))
         arrays, units = self._point_data()
         self._write(stem, "vtp", piece, arrays, {}, units)
 
     def _write_grid(self, stem: str) -> None:
+        leaves = leaves_on(self.points.grid) if self._leaves else None
+        if leaves is not None:
+            mesh, cell_data = leaf_mesh(leaves, self.points)
+            self._write(stem, "vtu", mesh, {}, cell_data, {})
+            return
         point_data, cell_data = self._mesh.data(self._increments)
         if self._grid_each_time:
             active = np.zeros(self._mesh.cells, np.uint8)
@@ -242,14 +249,14 @@ class ParaView:
         facets = [body.outline(*self._mesh.box) for body in self._bodies]
         x = np.concatenate([f.reshape(-1, d) for f in facets])
         piece = vtkPolyData()
-        piece.SetPoints(vtk_points(_padded(x)))
+        piece.SetPoints(vtk_points(padded(x)))
         cells = vtk_cells(np.arange(len(x)).reshape(-1, d))
         piece.SetLines(cells) if d == 2 else piece.SetPolys(cells)
         sizes = [len(f) for f in facets]
         turns = len(self._bodies[0].moment)
         data = {
             "body": np.repeat(np.arange(len(facets)), sizes)[:, None],
-            "force": _padded(np.repeat([b.force for b in self._bodies], sizes, axis=0)),
+            "force": padded(np.repeat([b.force for b in self._bodies], sizes, axis=0)),
             "moment": np.repeat([b.moment for b in self._bodies], sizes, axis=0).reshape(-1, turns),
         }
         file = self._folder / f"bodies_{count:06d}.vtp"
@@ -327,73 +334,3 @@ def _functions(what: str, given: Any) -> list[fem.Function]:
             f"{what} = {shown(given)} must be functions on the grid, such as [Space.increment]"
         )
     return list(several)
-
-
-class _GridMesh:
-    """This rank's own cells with the nodes of the increments, or else the nodes of the grid.
-
-    Raises:
-        ParameterError: The increments have no nodes, or different nodes.
-    """
-
-    def __init__(self, grid, functions: Sequence[fem.Function]):
-        # collective calls come before errors, because only some ranks may have an error
-        self.box = bounds(grid)
-        self.cells = grid.topology.index_map(grid.topology.dim).size_local
-        nodal = [f.function_space for f in functions if not _cellwise(f)]
-        space = nodal[0] if nodal else fem.functionspace(grid, ("Lagrange", 1))
-        try:
-            topology, types, x = plot.vtk_mesh(space)
-        except RuntimeError as cause:
-            raise ParameterError(f"the increments cannot be written: {cause}") from cause
-        for function in functions:
-            other = function.function_space
-            if not _cellwise(function) and not np.array_equal(other.dofmap.list, space.dofmap.list):
-                raise ParameterError(
-                    f"'{function.name}' has other nodes than '{functions[0].name}'; interpolate "
-                    "it, or write it with a ParaView of its own"
-                )
-        rows = topology.reshape(self.cells, -1)[:, 1:] if self.cells else np.empty((0, 1), int)
-        # nodes that only ghost cells have would appear as loose points
-        self._nodes, connectivity = np.unique(rows, return_inverse=True)
-        self._connectivity = connectivity.reshape(rows.shape)
-        self._x = np.ascontiguousarray(x[self._nodes])
-        self._type = int(types[0]) if self.cells else 0
-
-    def vtk(self):
-        """The mesh as a VTK object, without data."""
-        from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
-
-        result = vtkUnstructuredGrid()
-        result.SetPoints(vtk_points(self._x))
-        result.SetCells(self._type, vtk_cells(self._connectivity))
-        return result
-
-    def data(self, functions: Sequence[fem.Function]) -> tuple[Arrays, Arrays]:
-        """Nodal and cell-wise values of the functions."""
-        nodal: Arrays = {}
-        cellwise: Arrays = {}
-        for function in functions:
-            dofmap, whole = function.function_space.dofmap, _cellwise(function)
-            values = function.x.array.reshape(-1, dofmap.index_map_bs)
-            rows = dofmap.list[: self.cells, 0] if whole else self._nodes
-            target = cellwise if whole else nodal
-            target[function.name] = _padded(values[rows].reshape(-1, *function.ufl_shape))
-        return nodal, cellwise
-
-
-def _cellwise(function: fem.Function) -> bool:
-    return function.function_space.ufl_element().degree == 0
-
-
-def _padded(values: npt.NDArray[Any], zz: float = 0.0) -> npt.NDArray[Any]:
-    """Values in ParaView's layout, shape (n, components): vectors of 3, tensors of 9."""
-    n, shape = len(values), values.shape[1:]
-    size = math.prod(shape)
-    if len(shape) in (1, 2) and max(shape) <= 3 and len(set(shape)) == 1:
-        full = np.zeros((n, *(3,) * len(shape)), values.dtype)
-        if len(shape) == 2 and shape[0] < 3:
-            full[:, range(shape[0], 3), range(shape[0], 3)] = zz
-        full[(slice(None), *map(slice, shape))] = values
-        values, size = full, 3 ** len(shape)
-    return np.ascontiguousarray(values.reshape(n, size))

@@ -15,6 +15,7 @@ from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm.basis.refinement import leaves_on
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
@@ -27,6 +28,7 @@ __all__ = [
     "extent_of",
     "grid_lines",
     "label_of",
+    "lines_of_boxes",
     "plot",
     "prefix_of",
     "scalar_of",
@@ -79,7 +81,8 @@ def plot(
         cut: Direction and position (m) of the plane through 3D points: ("y", 0.5).
         limits: Range of colours, in the field's unit; by default the range of the values.
         view: "grid", "points" or ranges (m) of the two axes, ((x0, x1), (y0, y1)).
-        grid: Whether the background grid's lines are drawn.
+        grid: Whether the lines of the background grid are drawn, or those of the leaves of its
+            last refined space.
         max_aspect: Largest ratio of the picture's sides. Beyond it the short direction is
             stretched, and its axis shows the factor. math.inf never stretches.
         title: Text above the picture.
@@ -245,7 +248,14 @@ def extent_of(grid) -> Array:
 
 def grid_lines(grid, cut) -> Array | None:
     """Ends of the grid's lines (m) in a plane, shape (lines, 2, 2), on rank 0. Collective."""
-    lattice, dim = lattice_of(grid), grid.geometry.dim
+    lattice, dim, leaves = lattice_of(grid), grid.geometry.dim, leaves_on(grid)
+    if leaves is not None and (dim == 2 or cut is not None):
+        low, high = leaves.tree.corners(np.flatnonzero(leaves.tree.child < 0))
+        if cut is not None:
+            k = _AXES.index(cut[0])
+            met = (low[:, k] <= cut[1]) & (cut[1] < high[:, k])
+            low, high = (np.delete(ends[met], k, axis=1) for ends in (low, high))
+        return lines_of_boxes(low, high)
     if lattice is not None and (dim == 2 or cut is not None):
         kept = [d for d in range(dim) if cut is None or _AXES[d] != cut[0]]
         a, b = (lattice.lines[d] for d in kept)
@@ -264,3 +274,28 @@ def grid_lines(grid, cut) -> Array | None:
     turned = (first[:, 0] > last[:, 0]) | ((first[:, 0] == last[:, 0]) & (first[:, 1] > last[:, 1]))
     ends[turned] = ends[turned, ::-1]
     return np.unique(ends, axis=0)
+
+
+def lines_of_boxes(low: Array, high: Array) -> Array:
+    """Sides of boxes that touch (m), each drawn once, shape (lines, 2, 2).
+
+    The side of a box next to smaller boxes is left out: the smaller boxes have the same line.
+
+    Args:
+        low, high: Lowest and highest corners (m), shape (n, 2).
+    """
+    x = np.concatenate([low, high])
+    unit = 1e-9 * np.ptp(x, axis=0).max(initial=1e-300)
+    corners = np.stack([low, np.column_stack([high[:, 0], low[:, 1]]), high, low + 0.0], axis=1)
+    corners[:, 3, 1] = high[:, 1]
+    found = []
+    # sides along x, and along y
+    for pairs in ((0, 1), (3, 2)), ((0, 3), (1, 2)):
+        sides = np.concatenate([corners[:, pair] for pair in pairs])
+        numbers = np.rint(sides / unit).astype(np.int64)
+        _, first = np.unique(numbers.reshape(-1, 4), axis=0, return_index=True)
+        sides, numbers = sides[first], numbers[first]
+        ends = {tuple(end) for end in numbers.reshape(-1, 2).tolist()}
+        middles = np.rint(sides.mean(axis=1) / unit).astype(np.int64).tolist()
+        found.append(sides[[tuple(middle) not in ends for middle in middles]])
+    return np.concatenate(found)

@@ -355,3 +355,36 @@ def test_your_own_law(tmp_path):
     # what hardens spreads less
     assert laws["Swift"]["runout"] < laws["perfect"]["runout"] - 0.2
     assert (tmp_path / "your_own_law.png").stat().st_size > 0
+
+
+def test_footing_with_halved_cells():
+    options = "--law tresca-perfect --h 0.5 --coarsest 0.5 --refine 0.125 --growth 0.2 --steps 8"
+    figures = run("footing", "--no-plot", *options.split())
+    assert figures["completed"]
+    assert figures["unknowns"] < 2400  # of a grid of 0.25 m
+    # cells of 0.25 m miss by 3.9 %
+    assert 0 < figures["bearing_error"] < 0.027
+
+
+def test_refinement(tmp_path):
+    options = "--column 8,16 --footing 0.5,0.25 --lines 0.5 --leaves 0.25,0.125 --corner 4,8"
+    options += " --places 8 --trees 3"
+    figures = run("refinement", *options.split(), "--output", str(tmp_path))
+    assert figures["corner"]["orders"]["uniform"] == pytest.approx(0.54, abs=0.06)
+    assert figures["corner"]["orders"]["leaves"] > 0.9
+    assert figures["corner"]["share"] < 0.15
+    assert figures["footing"]["share"] < 0.2
+    assert len(figures["column"]["runs"]) == 4
+    assert figures["conditioning"]["spread"] < 20
+    assert figures["patch"]["worst"] < 1e-12
+    for name in ("refinement.png", "refinement.csv"):
+        assert (tmp_path / name).stat().st_size > 0
+
+
+def test_slope_failure_with_leaves_that_follow_the_band(tmp_path):
+    figures = run("slope_failure", "--refine", "yield", "--output", str(tmp_path))
+    assert figures["completed"]
+    # on a grid of half the size it is 3.86 m
+    assert figures["runout"] == pytest.approx(3.88, abs=0.1)
+    assert figures["split"] > 300
+    assert (tmp_path / "slope_failure.png").stat().st_size > 0
