@@ -19,6 +19,7 @@ with _idle_collector():
     from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
+    from dolfinmpm.body.terrain import Terrain
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
@@ -84,6 +85,7 @@ __all__ = [
     "Space",
     "Stabilisation",
     "Surface",
+    "Terrain",
     "Transient",
     "TurnedBox",
     "Wedge",
