@@ -23,10 +23,12 @@ with _idle_collector():
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
+    from dolfinmpm.cut.tiedsides import tied
     from dolfinmpm.dynamics import (
         Collision,
         Explicit,
         GeneralisedAlpha,
+        InputMotion,
         Mapping,
         Newmark,
         Transient,
@@ -52,7 +54,7 @@ with _idle_collector():
         stress,
     )
     from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
-    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid
+    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid, start_at_rest
 
 __version__ = "0.1.0"
 
@@ -70,6 +72,7 @@ __all__ = [
     "Fluid",
     "GeneralisedAlpha",
     "History",
+    "InputMotion",
     "Layer",
     "Mapping",
     "MaterialPoints",
@@ -125,10 +128,12 @@ __all__ = [
     "signorini",
     "soft",
     "springs",
+    "start_at_rest",
     "steps",
     "stiffness_per_area",
     "stress",
     "study",
+    "tied",
     "times",
     "zoned_line",
 ]

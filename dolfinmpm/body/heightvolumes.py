@@ -1,11 +1,11 @@
 """Volumes and centroids between two bilinear surfaces on one raster.
 
 On a cell of the raster the thickness f = top − bottom is bilinear. Where f is not negative at the
-four corners, Gauss points give the integrals of f, x f, y f and of (top² − bottom²)/2 exactly. Where
-f changes its sign, only the part with f > 0 counts. For given x the function f is linear in y, so
-that the part in y is an interval between known ends. In x the cell is divided where f vanishes on
-one of its two edges. On each part the integrand is smooth, and 16 Gauss points per part give it to
-about 1e-12.
+four corners, Gauss points give the integrals of f, x f, y f and of (top² − bottom²)/2 exactly.
+Where f changes its sign, only the part with f > 0 counts. For given x the function f is linear in
+y, so that the part in y is an interval between known ends. In x the cell is divided where f
+vanishes on one of its two edges. On each part the integrand is smooth, and 16 Gauss points per
+part give it to about 1e-12.
 """
 
 from __future__ import annotations
@@ -78,12 +78,12 @@ def _whole(top: Array, bottom: Array) -> tuple[Array, Array, Array]:
 def _cut(top: Array, bottom: Array) -> tuple[Array, Array, Array]:
     """Points where the thickness is positive, in cells in which it changes its sign."""
     f = top - bottom
-    ends = [np.zeros(f.shape[1]), np.ones(f.shape[1])]
+    lines: list[Array] = [np.zeros(f.shape[1]), np.ones(f.shape[1])]
     with np.errstate(divide="ignore", invalid="ignore"):
         for a, b in ((f[0], f[1]), (f[2], f[3])):
             root = a / (a - b)
-            ends.append(np.where((root > 0.0) & (root < 1.0), root, 0.0))
-    ends = np.sort(np.array(ends), axis=0)
+            lines.append(np.where((root > 0.0) & (root < 1.0), root, 0.0))
+    ends: Array = np.sort(np.array(lines), axis=0)
     at, weight = _rule(_GAUSS)
     length = np.diff(ends, axis=0)
     # shape (3 parts, cells, Gauss points)

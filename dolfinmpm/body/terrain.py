@@ -27,8 +27,8 @@ class Terrain:
     """A surface of heights: bilinear between the nodes of a raster, linear along a section in 2D.
 
     A terrain is a function of positions x, shape (gdim, n), that returns n heights. So it serves as
-    `surface` and `water_table` of a `Deposit`, and as `bottom` of a `Layer`. Beyond its edges it goes on
-    level. `ground` is the body below the surface, for `fill`. `solid` is a rigid bed for
+    `surface` and `water_table` of a `Deposit`, and as `bottom` of a `Layer`. Beyond its edges it
+    goes on level. `ground` is the body below the surface, for `fill`. `solid` is a rigid bed for
     `RigidBody`.
 
     Args:
@@ -109,7 +109,9 @@ class Terrain:
         """
         if isinstance(raster, (str, os.PathLike)):
             if spacing is not None:
-                raise ParameterError("spacing is for arrays: a file has its own spacing; leave it out")
+                raise ParameterError(
+                    "spacing is for arrays: a file has its own spacing; leave it out"
+                )
             found = read_raster(raster)
         else:
             found = _from_array(raster, spacing, corner)
@@ -121,7 +123,9 @@ class Terrain:
             raise ParameterError(f"origin = {origin} must be two coordinates (m)")
         return cls((x - shift[0], y - shift[1]), z)
 
-    def from_boreholes(self, positions: Any, heights: Any, *, most: Terrain | None = None) -> Terrain:
+    def from_boreholes(
+        self, positions: Any, heights: Any, *, most: Terrain | None = None
+    ) -> Terrain:
         """The boundary of a layer, between the heights that boreholes found, on these lines.
 
         Heights are interpolated by radial functions −|r|, which is universal kriging with a linear
@@ -156,7 +160,9 @@ class Terrain:
             raise ParameterError("positions and heights of boreholes must be finite")
         if len(np.unique(at, axis=0)) < len(at):
             raise ParameterError("two boreholes are at the same position: give their mean")
-        nodes = np.stack(np.meshgrid(*self.lines, indexing="ij"), axis=-1).reshape(-1, self.gdim - 1)
+        nodes = np.stack(np.meshgrid(*self.lines, indexing="ij"), axis=-1).reshape(
+            -1, self.gdim - 1
+        )
         if len(at) == 1:
             found = np.full(len(nodes), z[0])
         else:
@@ -202,7 +208,8 @@ class Terrain:
         a, b = coordinates("start", start), coordinates("end", end)
         if self.gdim != 3 or a.shape != (2,) or b.shape != (2,) or not np.any(a != b):
             raise ParameterError(
-                f"a section of a terrain in 3D needs two different ends (x, y), got {start} and {end}"
+                "a section of a terrain in 3D needs two different ends (x, y), got "
+                f"{start} and {end}"
             )
         share = np.linspace(0.0, 1.0, max(count, 1) + 1)
         if count == 0:
@@ -210,7 +217,7 @@ class Terrain:
                 if a[k] != b[k]:
                     share = np.concatenate([share, (line - a[k]) / (b[k] - a[k])])
             share = np.unique(share[(share >= 0.0) & (share <= 1.0)].round(12))
-        z = self((a[:, None] + (b - a)[:, None] * share))
+        z = self(a[:, None] + (b - a)[:, None] * share)
         return Terrain((share * float(np.linalg.norm(b - a)),), z)
 
     def raised(self, thickness: Any) -> Terrain:
@@ -268,7 +275,8 @@ class Terrain:
             (x,) = self.lines
             top = np.column_stack([x, self.heights])[::-1]
             return Polygon([(x[0], bottom), (x[-1], bottom), *top])
-        return _solid(*self.lines, self.heights, float(bottom))
+        x, y = self.lines
+        return _solid(x, y, self.heights, float(bottom))
 
 
 class GroundBelow(Shape):
@@ -316,11 +324,13 @@ class GroundBelow(Shape):
             # a strip of width 1
             lines, upper, lower = [*lines, np.array([0.0, 1.0])], upper.repeat(2), lower.repeat(2)
         shape = tuple(line.size for line in lines)
-        volume, middle = volume_between(*lines, upper.reshape(shape), lower.reshape(shape))
+        volume, middle = volume_between(
+            lines[0], lines[1], upper.reshape(shape), lower.reshape(shape)
+        )
         if not volume > 0.0:
             raise ParameterError(
-                f"the ground is empty: its surface, at most {upper.max():g} m high, is nowhere above "
-                f"its bottom, at least {lower.min():g} m high"
+                f"the ground is empty: its surface, at most {upper.max():g} m high, is nowhere "
+                f"above its bottom, at least {lower.min():g} m high"
             )
         thick = upper > lower
 
@@ -381,8 +391,8 @@ def _windowed(x: Array, y: Array, z: Array, window: Any) -> tuple[Array, Array, 
     kept = [(line >= a) & (line <= b) for line, a, b in zip((x, y), box[:2], box[2:])]
     if min(int(one.sum()) for one in kept) < 2:
         raise ParameterError(
-            f"window = {window} m has fewer than two heights in a direction; the raster reaches from "
-            f"({x[0]:g}, {y[0]:g}) to ({x[-1]:g}, {y[-1]:g}) m"
+            f"window = {window} m has fewer than two heights in a direction; the raster reaches "
+            f"from ({x[0]:g}, {y[0]:g}) to ({x[-1]:g}, {y[-1]:g}) m"
         )
     return x[kept[0]], y[kept[1]], z[np.ix_(*kept)]
 

@@ -335,7 +335,9 @@ class _Builder:
         if field.prolongate is not None:
             from scipy import sparse
 
-            own = sparse.csr_matrix(field.prolongate(seen, nodes))
+            of_basis = getattr(field.prolongate, "of_basis", None)
+            made = field.prolongate(seen, nodes) if of_basis is None else of_basis(basis, nodes)
+            own = sparse.csr_matrix(made)
             C = own if C is None else C @ own
         to_grid, stencils = extraction(field.space, basis), seen
         if C is not None:
@@ -391,6 +393,7 @@ def _bases(
         need = max(reaches[id(basis)][0], least)
         if averages:
             need = max(need, layers_needed(span, basis))
+        need = max(need, getattr(one.prolongate, "layers", 0))
         if one.constrains_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
         layers[id(basis)] = max(layers.get(id(basis), 0), need)

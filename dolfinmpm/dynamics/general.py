@@ -103,7 +103,7 @@ class GeneralSteps(ExplicitBase):
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end = self._end(V + kick * A, mass, here, held, kick)
+        V_end = self._end(V + kick * A, mass, here, held, kick, step.t - dt)
         new = self._to_points(operator, s, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_strain, V_move = V if settings.scheme == "usf" else V_end, V_end
@@ -279,14 +279,25 @@ class GeneralSteps(ExplicitBase):
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
 
     @stages.solve
-    def _end(self, V_end: Array, mass: Mass, here: Activation, held: Array, dt: float) -> Array:
-        """Velocities at the end of a step, with faces of the grid and conditions. Collective."""
+    def _end(
+        self, V_end: Array, mass: Mass, here: Activation, held: Array, dt: float, t: float
+    ) -> Array:
+        """Velocities at the end of a step, with faces of the grid and conditions. Collective.
+
+        Waves come in with their forces at the time t of the positions.
+        """
         faces = self._sides.on(here.fields[0].basis)
         if faces is not None and faces.dashpots is not None:
             m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
             free = V_end.copy()
+            if faces.waves:
+                wave = faces.waves.forces(t)
+                V_end += dt * wave / m
             V_end /= 1.0 + dt * faces.dashpots / m
-            self._work.losses["damping"] += mass.lost(free, V_end)
+            if faces.waves:
+                self._count_waves(mass, here, wave, faces.dashpots * V_end, dt * V_end)
+            else:
+                self._work.losses["damping"] += mass.lost(free, V_end)
         if faces is not None:
             free = V_end.copy()
             faces.rub(V_end)
@@ -294,6 +305,16 @@ class GeneralSteps(ExplicitBase):
         fixed = here.unknowns.fields[0].fixed
         V_end[fixed] = held[fixed]
         return V_end
+
+    def _count_waves(
+        self, mass: Mass, here: Activation, wave: Array, dashpots: Array, u: Array
+    ) -> None:
+        """Add works of waves and of dashpots at a side on increments of the nodes. Collective."""
+        at = here.unknowns.fields[0].owned_nodes
+        both = np.array([np.sum((force * u)[at]) for force in (wave, dashpots)])
+        mass.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.SUM)
+        self._work.external += both[0]
+        self._work.losses["damping"] += both[1]
 
     def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
         """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
