@@ -258,7 +258,8 @@ class Terrain:
     def solid(self, bottom: float) -> Any:
         """A rigid bed below the surface, for `RigidBody`: a mesh of triangles, or in 2D a polygon.
 
-        Two triangles divide each cell of the raster along one diagonal.
+        Two triangles divide each cell of the raster along its lower diagonal. So the bed is within
+        the ground below the bilinear surface, and ground on top of it is outside the bed.
 
         Args:
             bottom: Height of the level bottom (m), below the surface.
@@ -405,7 +406,14 @@ def _solid(x: Array, y: Array, z: Array, bottom: float) -> Any:
     number_of = np.arange(nx * ny).reshape(nx, ny)
     a, b = number_of[:-1, :-1].ravel(), number_of[1:, :-1].ravel()
     c, d = number_of[1:, 1:].ravel(), number_of[:-1, 1:].ravel()
-    top = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    # along the lower diagonal the triangles are below the bilinear surface
+    flip = (z[:-1, :-1] + z[1:, 1:] > z[1:, :-1] + z[:-1, 1:]).ravel()[:, None]
+    top = np.concatenate(
+        [
+            np.where(flip, np.column_stack([a, b, d]), np.column_stack([a, b, c])),
+            np.where(flip, np.column_stack([b, c, d]), np.column_stack([a, c, d])),
+        ]
+    )
     below = top[:, ::-1] + nx * ny
     # around the edge, anticlockwise as seen from above
     edge = np.concatenate(
