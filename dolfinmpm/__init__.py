@@ -11,15 +11,18 @@ with _idle_collector():
     from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
     from dolfinmpm.basis.space import Space
     from dolfinmpm.body.axisymmetry import gradient
+    from dolfinmpm.body.bodysums import BodySums
     from dolfinmpm.body.boundary import Boundary
     from dolfinmpm.body.filling import fill
     from dolfinmpm.body.footing import RigidFooting
     from dolfinmpm.body.meshpartition import partitioner
+    from dolfinmpm.body.pointfamilies import Families, FamilyChange, families, merge, split
     from dolfinmpm.body.points import MaterialPoints, PointChange
     from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
     from dolfinmpm.body.terrain import Terrain
+    from dolfinmpm.body.wantedsizes import near, where_it_yields
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
@@ -61,6 +64,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ArcLength",
     "Ball",
+    "BodySums",
     "Boundary",
     "Box",
     "Collision",
@@ -68,6 +72,8 @@ __all__ = [
     "Deposit",
     "Disc",
     "Explicit",
+    "Families",
+    "FamilyChange",
     "Film",
     "Fluid",
     "GeneralisedAlpha",
@@ -104,6 +110,7 @@ __all__ = [
     "dirichlet",
     "equilibrate",
     "errors",
+    "families",
     "figure",
     "fill",
     "fixed",
@@ -115,8 +122,10 @@ __all__ = [
     "kozeny_carman",
     "materials",
     "measure_stages",
+    "merge",
     "momentum",
     "moving",
+    "near",
     "partitioner",
     "plot",
     "poromechanics",
@@ -127,6 +136,7 @@ __all__ = [
     "set_stress",
     "signorini",
     "soft",
+    "split",
     "springs",
     "start_at_rest",
     "steps",
@@ -135,5 +145,6 @@ __all__ = [
     "study",
     "tied",
     "times",
+    "where_it_yields",
     "zoned_line",
 ]

@@ -14,8 +14,8 @@
 #
 # With waves of 2000 m/s the ground is next to rigid, and its slip is that of the block to 1 %. With
 # 400 m/s the ground amplifies the record, and slips 12 % more: a block does not see that. The
-# trapezoidal rule rings where sliding ends, and slips more. Domains that stretch with the layer reach
-# into the ground above, and weaken the layer: the slip grows by 4 %.
+# trapezoidal rule rings where sliding ends, and slips more. Domains that stretch with the layer
+# reach into the ground above, and weaken the layer: the slip grows by 4 %.
 
 # %%
 import math

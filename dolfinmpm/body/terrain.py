@@ -12,8 +12,10 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.heightvolumes import volume_between
-from dolfinmpm.body.rasterfiles import Raster, read_raster
+from dolfinmpm.body.rasterarrays import raster_of_array, windowed
+from dolfinmpm.body.rasterfiles import read_raster
 from dolfinmpm.body.shapes import Polygon, Shape
+from dolfinmpm.body.terrainmesh import closed_mesh
 
 __all__ = ["GroundBelow", "Terrain"]
 
@@ -114,14 +116,13 @@ class Terrain:
                 )
             found = read_raster(raster)
         else:
-            found = _from_array(raster, spacing, corner)
-        x, y, z = found.x, found.y, found.z
+            found = raster_of_array(raster, spacing, corner)
         if window is not None:
-            x, y, z = _windowed(x, y, z, window)
+            found = windowed(found, window)
         shift = coordinates("origin", origin)
         if shift.shape != (2,):
             raise ParameterError(f"origin = {origin} must be two coordinates (m)")
-        return cls((x - shift[0], y - shift[1]), z)
+        return cls((found.x - shift[0], found.y - shift[1]), found.z)
 
     def from_boreholes(
         self, positions: Any, heights: Any, *, most: Terrain | None = None
@@ -277,7 +278,7 @@ class Terrain:
             top = np.column_stack([x, self.heights])[::-1]
             return Polygon([(x[0], bottom), (x[-1], bottom), *top])
         x, y = self.lines
-        return _solid(x, y, self.heights, float(bottom))
+        return closed_mesh(x, y, self.heights, float(bottom))
 
 
 class GroundBelow(Shape):
@@ -363,68 +364,3 @@ def _interpolated(lines: Sequence[Array], z: Array, at: Array) -> Array:
     (i, j), (s, t) = cells, shares
     first = (1 - s) * z[i, j] + s * z[i + 1, j]
     return np.asarray((1 - t) * first + t * ((1 - s) * z[i, j + 1] + s * z[i + 1, j + 1]))
-
-
-def _from_array(raster: Any, spacing: Any, corner: Any) -> Raster:
-    """A raster from an array of heights, shape (ny, nx), the first row in the south."""
-    z = coordinates("raster", raster)
-    if z.ndim != 2 or min(z.shape) < 2:
-        raise ParameterError(
-            f"raster has the shape {z.shape} and must have at least two rows and two columns"
-        )
-    if spacing is None:
-        raise ParameterError("an array needs its spacing (m): from_raster(heights, spacing=10.0)")
-    size = np.broadcast_to(coordinates("spacing", spacing), (2,))
-    for one in size:
-        number("spacing", float(one), 0.0, unit="m")
-    low = coordinates("corner", corner)
-    if low.shape != (2,):
-        raise ParameterError(f"corner = {corner} must be two coordinates (m)")
-    x, y = (a + h * np.arange(n) for a, h, n in zip(low, size, z.shape[::-1]))
-    return Raster(x, y, z.T.copy())
-
-
-def _windowed(x: Array, y: Array, z: Array, window: Any) -> tuple[Array, Array, Array]:
-    """The nodes of a raster in a window."""
-    box = coordinates("window", window)
-    if box.shape != (4,) or not np.all(box[2:] > box[:2]):
-        raise ParameterError(f"window = {window} must be (x low, y low, x high, y high) (m)")
-    kept = [(line >= a) & (line <= b) for line, a, b in zip((x, y), box[:2], box[2:])]
-    if min(int(one.sum()) for one in kept) < 2:
-        raise ParameterError(
-            f"window = {window} m has fewer than two heights in a direction; the raster reaches "
-            f"from ({x[0]:g}, {y[0]:g}) to ({x[-1]:g}, {y[-1]:g}) m"
-        )
-    return x[kept[0]], y[kept[1]], z[np.ix_(*kept)]
-
-
-def _solid(x: Array, y: Array, z: Array, bottom: float) -> Any:
-    """A closed `meshio.Mesh` below a surface, with outward normals."""
-    import meshio
-
-    nx, ny = z.shape
-    number_of = np.arange(nx * ny).reshape(nx, ny)
-    a, b = number_of[:-1, :-1].ravel(), number_of[1:, :-1].ravel()
-    c, d = number_of[1:, 1:].ravel(), number_of[:-1, 1:].ravel()
-    # along the lower diagonal the triangles are below the bilinear surface
-    flip = (z[:-1, :-1] + z[1:, 1:] > z[1:, :-1] + z[:-1, 1:]).ravel()[:, None]
-    top = np.concatenate(
-        [
-            np.where(flip, np.column_stack([a, b, d]), np.column_stack([a, b, c])),
-            np.where(flip, np.column_stack([b, c, d]), np.column_stack([a, c, d])),
-        ]
-    )
-    below = top[:, ::-1] + nx * ny
-    # around the edge, anticlockwise as seen from above
-    edge = np.concatenate(
-        [number_of[:, 0], number_of[-1, 1:], number_of[-2::-1, -1], number_of[0, -2:0:-1]]
-    )
-    p, q = edge, np.roll(edge, -1)
-    low_p, low_q = p + nx * ny, q + nx * ny
-    sides = np.concatenate([np.column_stack([p, low_p, low_q]), np.column_stack([p, low_q, q])])
-    X, Y = (one.ravel() for one in np.meshgrid(x, y, indexing="ij"))
-    upper = np.column_stack([X, Y, z.ravel()])
-    lower = np.column_stack([X, Y, np.full(X.size, bottom)])
-    return meshio.Mesh(
-        np.concatenate([upper, lower]), [("triangle", np.concatenate([top, below, sides]))]
-    )

@@ -16,7 +16,7 @@ from dolfinmpm._platform.argumentchecks import check_kind, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.basis.conditions import Condition, prescribed, side_of
+from dolfinmpm.basis.conditions import Condition, prescribed
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
@@ -24,6 +24,7 @@ from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.dynamics.incomingwaves import IncomingWaves, checked_incoming
 from dolfinmpm.dynamics.sideareas import areas, radii
 from dolfinmpm.grid.lattice import require_lattice
+from dolfinmpm.grid.sides import side_of
 
 __all__ = [
     "Face",
