@@ -85,13 +85,11 @@ bcs = mpm.absorbing(V, "bottom", **rock, incoming=(wave, None))
 bcs += mpm.prescribed(V, "bottom", 1)
 sides = mpm.tied(V, period=h)
 options = {"prolongation": sides, "mass": args.mass}
-if args.integrator == "explicit":
-    problem = mpm.Explicit(F, u, points, bcs, **options)
-else:
-    rule = mpm.Newmark if args.integrator == "newmark" else mpm.GeneralisedAlpha
-    if args.mass == "consistent":
-        options["ghost_mass"] = 0.0
-    problem = rule(F, u, points, bcs, **options)
+if args.mass == "consistent":
+    # tied sides leave no cut cells
+    options["ghost_mass"] = 0.0
+kinds = {"newmark": mpm.Newmark, "generalised-alpha": mpm.GeneralisedAlpha}
+problem = kinds.get(args.integrator, mpm.Explicit)(F, u, points, bcs, **options)
 
 top = H - 0.5 * h / args.points_per_cell
 dt = args.courant * h / cs

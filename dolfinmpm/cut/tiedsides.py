@@ -9,7 +9,11 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_kind, number
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.errors import (
+    ParameterError,
+    UnsupportedGridError,
+    raise_together,
+)
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.lattice import require_lattice
@@ -41,7 +45,7 @@ def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
 
     Raises:
         ParameterError: The period is no whole number of cells, or the axis does not exist.
-        UnsupportedGridError: The grid is not rectangular.
+        UnsupportedGridError: The grid is not rectangular, or the space is refined.
 
     A column of one cell is level ground; its sides shear:
 
@@ -61,6 +65,11 @@ def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
     """
     check_kind("space", space, Space, "make it with mpm.Space(grid)")
     require_lattice(space.grid, "tied")
+    if space.refinement is not None:
+        raise UnsupportedGridError(
+            "tied sides need cells of one size along them, and the space is refined: leave out "
+            "refine=, or give create_lattice smaller cells where they are wanted"
+        )
     d = space.grid.geometry.dim
     if isinstance(axis, bool) or axis not in range(d):
         raise ParameterError(f"axis = {axis!r} must be one of {', '.join(map(str, range(d)))}")

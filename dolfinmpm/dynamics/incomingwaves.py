@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import at_time, check_function, shown
+from dolfinmpm._platform.argumentchecks import at_time, check_function, number, shown
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["IncomingWaves", "checked_incoming"]
@@ -47,7 +47,7 @@ def checked_incoming(
         if wave is None:
             continue
         check_function("incoming", wave, "of time that returns the velocity of the wave (m/s)")
-        at_time("incoming", wave, 0.0)
+        _velocity(wave, 0.0)
         for axis in axes:
             if not impedance[0 if k == axis else 1] > 0.0:
                 speed = "p_speed" if k == axis else "s_speed"
@@ -56,6 +56,11 @@ def checked_incoming(
                     f"the side no dashpots there: give {speed} of the ground beyond the side"
                 )
     return tuple(incoming) if any(incoming) else None
+
+
+def _velocity(wave: Wave, t: float) -> float:
+    """Velocity of a wave at time t (m/s)."""
+    return number("incoming", at_time("incoming", wave, t), unit="m/s")
 
 
 class IncomingWaves:
@@ -88,5 +93,5 @@ class IncomingWaves:
         """Forces 2 c v_up of the waves at time t (N), shape (nodes, d)."""
         out = np.zeros(self._shape)
         for nodes, k, c, wave in self._parts:
-            out[nodes, k] += 2.0 * c * float(at_time("incoming", wave, t))
+            out[nodes, k] += 2.0 * c * _velocity(wave, t)
         return out
