@@ -70,7 +70,7 @@ wave = mpm.InputMotion(t, velocity=1e-3 * (1 - 2 * a) * np.exp(-a))
 # Beside the column the grid has free cells: the column moves through the grid.
 
 # %%
-free = 3
+free = 4
 lines = [np.arange(2 * free + 2) * h, np.arange(round(H / h) + 1) * h]
 grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
 column = mpm.Box((free * h, 0.0), ((free + 1) * h, H))

@@ -67,15 +67,16 @@ def test_a_record_from_a_file(tmp_path, mark):
     record = mpm.InputMotion.from_csv(path, factor=9.81, skip=2)
     assert record.acceleration(1.5) == pytest.approx(0.0, abs=1e-15)
     assert record(1.0) == pytest.approx(9.81 / 4)
+    path.write_text("0 0\n1 2\n")
     with pytest.warns(DriftingRecordWarning):
-        path.write_text("0 0\n1 2\n")
-        assert mpm.InputMotion.from_csv(path, kind="velocity")(0.5) == 1.0
+        record = mpm.InputMotion.from_csv(path, kind="velocity")
+    assert record(0.5) == 1.0
 
 
 def test_files_that_are_no_records(tmp_path):
     path = tmp_path / "record.csv"
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(OSError, match="no table of times and values: .*skip="):
+    with pytest.raises(OSError, match=r"no table of times and values: .*skip="):
         mpm.InputMotion.from_csv(path)
     path.write_text("1\n2\n")
     with pytest.raises(OSError, match="two columns are needed"):
