@@ -125,7 +125,7 @@ F = mpm.momentum(ground, points, u, v, tag=0) + mpm.momentum(clay, points, u, v,
 F -= ufl.inner(points.density * gravity, v) * points.dX
 bcs = mpm.moving(V, "bottom", 0, velocity=record) + mpm.prescribed(V, "bottom", 1)
 sides = mpm.tied(V, period=h)
-options = {"prolongation": sides, "ghost_mass": 0.0, "rho_inf": args.rho_inf}
+options = {"prolongation": sides, "mass": "lumped", "rho_inf": args.rho_inf}
 problem = mpm.GeneralisedAlpha(F, u, points, bcs, **options)
 
 curve = mpm.History()

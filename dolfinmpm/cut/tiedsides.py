@@ -35,6 +35,10 @@ def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
     The grid must have at least one free cell beyond both sides of the body, on quadratic and cubic
     splines two. All ranks know all nodes, which limits the size of such problems on many ranks.
 
+    Ghost penalties take the cells beside tied sides for cut cells, and would stiffen them. So the
+    ghost penalty of the mass is 0 by default here. Where the surface cuts cells, take a lumped
+    mass.
+
     Args:
         space: Space of the displacement, on a rectangular grid with equal cells along `axis`.
         period: Length of the body along `axis` (m), a whole number of cells.

@@ -40,7 +40,8 @@ class InputMotion:
             `acceleration` and `velocity` is given.
 
     Warns:
-        DriftingRecordWarning: More than 2 % of the peak velocity is left after the record.
+        DriftingRecordWarning: A record in use has more than 2 % of its peak velocity left after
+            its end.
 
     A record of three samples:
 
@@ -78,12 +79,13 @@ class InputMotion:
         self._acceleration = self._velocity.derivative()
         self.drift = float(self._velocity(t[-1]))
         self.left = float(self._displacement(t[-1]))
-        self._check()
+        self._told = False
 
     def _check(self) -> None:
-        """Warn about a record that goes on after its end."""
+        """Warn once about a record that goes on after its end."""
         from mpi4py import MPI
 
+        self._told = True
         peak = float(np.abs(self._velocity(self.time)).max())
         if abs(self.drift) > _LEFT * peak:
             warn(
@@ -131,6 +133,9 @@ class InputMotion:
 
     def __call__(self, t: float) -> float:
         """Velocity at time t (m/s)."""
+        # a record may be corrected before it is used
+        if not self._told:
+            self._check()
         if t < self.time[0]:
             return 0.0
         return float(self._velocity(min(t, self.time[-1])))
