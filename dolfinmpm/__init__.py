@@ -22,8 +22,8 @@ with _idle_collector():
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
     from dolfinmpm.body.terrain import Terrain
-    from dolfinmpm.body.wantedsizes import near, where_it_yields
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
+    from dolfinmpm.contact.wantedsizes import near, where_it_yields
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
     from dolfinmpm.cut.tiedsides import tied

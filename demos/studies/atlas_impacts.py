@@ -1,7 +1,7 @@
 """Bodies that collide in the stability atlas, in implicit and in explicit steps.
 
 Two bodies fly at each other in the plane, in cells of 0.1 m, from 0.05 to 0.5 cells apart. Drawn
-evenly between these bounds:
+evenly between these bounds; a rigid body that would start inside of points moves back:
 
 - discs, boxes, turned boxes, bars, blobs and convex polygons within circles of 0.2 to 0.35 m; one
   may be up to half its radius aside of the other's line; 2 or 3 points per cell and direction;
@@ -89,6 +89,24 @@ def moving(p: dict[str, Any], grid: mesh.Mesh, which: Any) -> Any:
     return points
 
 
+def free_centre(shape: dict[str, Any], centre: Any, points: Any) -> Any:
+    """The centre of a rigid body (m), moved back if it would start inside of points' domains.
+
+    Domains at an edge reach beyond it by parts of a cell, and their corners are what touches.
+    Collective.
+    """
+    half, centre = points["l0"], np.array(centre)
+    corners = np.concatenate([points["x"] + half * signs for signs in ((-1, -1), (-1, 1))])
+    surface, back = mpm.RigidBody(shape_of(shape, centre), name="trial").surface, 0.0
+    for _ in range(20):
+        gap = surface.probe(corners + np.array([back, 0.0]))[0].min(initial=np.inf)
+        gap = points.comm.allreduce(float(gap), op=MPI.MIN)
+        if gap >= 0.0:
+            break
+        back += 0.05 * H
+    return centre - [back, 0.0]
+
+
 def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> Example:
     """Make the problem ready. Collective."""
     grid, way, law = squares(comm), p["way"], law_of(p)
@@ -99,7 +117,8 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     F = sum(mpm.momentum(law, points, u[k], v[k]) for k in range(1 + own))
     rigid: list[Rigid] = []
     if way == "rigid":
-        shape, centre = p["shapes"][0], p["centres"][0]
+        shape = p["shapes"][0]
+        centre = free_centre(shape, p["centres"][0], points)
         m = p["mass"] * DENSITY * shape["radius"] ** 2
         body = mpm.RigidBody(
             shape_of(shape, centre), mass=m, inertia=0.5 * m * shape["radius"] ** 2,

@@ -12,6 +12,9 @@
 # that rises with depth; the parameters are Brinkgreve's (`mpm.materials.sand`), the scene is the
 # penetrometer of AMPSSIE's tutorials.
 #
+# With `--refine`, cells of the size h follow the tip alone; points split and merge with them. The
+# ghost factor and the penalty are smaller, and the points keep the mean volumes of F-bar.
+#
 # The cone is wished in place at first, with its tip `--start` deep: what is beside it is filled,
 # and gaps of half a point close within the first steps. Domains of points shrink with their
 # volume and keep their axes: under the tip the ground is stretched along the cone's face without
@@ -39,11 +42,10 @@
 # be compared with, by the closed form of the clay's $c_u$.
 #
 # What comes out in cells of R/2, after 8 R: 9.7 without drainage (Teh & Houlsby 9.72), 9.4 at
-# $v d/c_v = 1000$, 14.5 drained, which is 1.55 times as much and still grows by 7 % over four
-# diameters. Half of that is lost at 5.9 (V50 = 5.8 and m = 1.2 fit), c_v being that of the ground
-# at rest; 77 % of the resistance at 1000 is pore pressure behind the shoulder. With five times the
-# penalty of contact, as in the clay without water, single points are crushed at the shoulder when
-# some water leaves, and the run ends.
+# $v d/c_v = 1000$, 14.5 drained, 1.55 times as much; that still grows by 7 % over four diameters.
+# Half is lost at 5.9 (V50 = 5.8, m = 1.2 fit), with c_v of the ground at rest. 77 % of the
+# resistance at 1000 is pore pressure behind the shoulder. With five times the penalty, single
+# points are crushed at the shoulder when some water leaves, and the run ends.
 #
 # A quarter of the cone in three dimensions is below the axisymmetric cone with the same lines
 # (h = R/2, zone 1.5, growth 2): from 7.2 R to 8.4 R by 9.5 %, and by 5 % below those of R/4, whose
@@ -58,11 +60,11 @@ from dataclasses import dataclass
 import numpy as np
 import ufl
 from cam_clay import PRESSURE
+from cone_grids import graded, near_tip, roots
 from cone_in_water import VELOCITIES, Clay, compared
 from cone_pictures import draw, draw_curve
-from grids import growing
 from mpi4py import MPI
-from options import Options, natural, option, positive, switch
+from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
@@ -113,17 +115,18 @@ class Input(Options):
     poisson: float | None = option(None, "Poisson's ratio; by the law")
     friction: float | None = option(None, "coefficient at the cone; by the law", least=0)
     width: float | None = positive(None, "radius of the ground (m); by the law")
+    refine: bool = option(False, "cells that follow the tip, of the size h there")
     zone: float = option(2.5, "width of equal cells, by R", least=1.5)
     growth: float = option(1.3, "of cells outside of it", above=1)
     points_per_cell: int = natural(2, "in each direction")
     basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
-    fbar: str | None = switch(None, "against locking; by the law")
+    fbar: str | None = option(None, "against locking; by the law", choices=("on", "off", "volumes"))
     domains: str = option("volume", "their growth", choices=("volume", "stretch", "fixed"))
     corners: str = option("domains", choices=("domains", "material"))
     penalty: float | None = positive(None, "κ h/E; by the law")
     fillet: float = option(1.0, "of tip and shoulder, by h")
     stabilisation: str | None = option(None, "by the law", choices=("none", "ghost", "aggregation"))
-    ghost: float = option(0.1, "factor of the ghost penalty")
+    ghost: float | None = positive(None, "factor of the ghost penalty; 0.1, refined 0.03")
     tolerance: float = 1e-6
 
     def _check(self):
@@ -135,7 +138,9 @@ class Input(Options):
             raise ValueError("water goes with --dimension axisymmetric")
         if self.drainage:
             self.fill(velocity=VELOCITIES[self.drainage])
-        self.fill(**DEFAULTS[self.law])
+        if self.refine:
+            self.fill(ghost=0.03, penalty=1.0, fbar={"tresca": "volumes"}.get(self.law))
+        self.fill(ghost=0.1, **DEFAULTS[self.law])
         if not self.depth >= self.start + self.step:
             raise ValueError("the depth must be more than the start by a step")
         if not self.h <= self.radius:
@@ -166,7 +171,9 @@ class Scene:
         self.steps = max(1, round((args.depth - args.start) / args.step))
         self.way = (args.depth - args.start) / self.steps
         self.cone = self.penetrometer()
+        averaged = {} if args.basis == "linear" else {"domains": args.domains}
         self.grid, low, high = self.background()
+        V = mpm.Space(self.grid, args.basis, **averaged, **self.refined)
         touched = 0.5 * h / args.points_per_cell
 
         def beside(x):
@@ -190,18 +197,18 @@ class Scene:
             law = mpm.materials.Tresca(E, args.poisson, COHESION)
             density, self.unit = 1000.0, COHESION
         self.points = points = mpm.fill(
-            self.grid, ground, args.points_per_cell, density, axisymmetric=self.flat
-        )
-        averaged = {} if args.basis == "linear" else {"domains": args.domains}
-        V = mpm.Space(self.grid, args.basis, **averaged)
+            self.grid, ground, args.points_per_cell, density, axisymmetric=self.flat,
+            refine=V if args.refine else None,
+        )  # fmt: skip
         u, v = V.increment, V.test
         fields, bcs, self.wet = [u], [], args.law == "cam-clay"
+        fbar = args.fbar if args.fbar == "volumes" else args.fbar == "on"
         if self.wet:
             Q = mpm.Space(self.grid, args.basis, shape=(), **averaged)
-            F, bcs = clay.form(points, Q, u, v, fbar=args.fbar == "on")
+            F, bcs = clay.form(points, Q, u, v, fbar=fbar)
             fields.append(Q.increment)
         else:
-            F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
+            F = mpm.momentum(law, points, u, v, fbar=fbar)
         if deposit is not None:
             mpm.set_stress(law, points, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
@@ -244,20 +251,13 @@ class Scene:
 
     def background(self):
         """The grid, and its lower and upper corner."""
-        args, R, h = self.args, self.args.radius, self.args.h
-        fine = h * np.arange(math.ceil(args.zone * R / h - 1e-9) + 1)
-        across = np.append(fine, fine[-1] + growing(h, args.width - fine[-1], args.growth))
-        last = -args.depth - 2 * R
-        first = min(0.0, -args.start + self.height + R)
-        zone = first - h * np.arange(math.ceil((first - last) / h - 1e-9) + 1)[::-1]
-        under = zone[0] - growing(h, args.width, args.growth)[::-1]
-        above = growing(h, -first, args.growth) + first
-        up = np.concatenate([under, zone, above])
-        # room for ground that heaves
-        up = np.append(
-            up, (up[-1] - up[-2]) * np.arange(1, 1 + (4 if first == 0.0 else 1)) + up[-1]
-        )
-        self.finest = min(np.diff(line).min() for line in (across, up))
+        args, self.refined, self.finest = self.args, {}, self.args.h
+        if args.refine:
+            levels, across, up = roots(args)
+            self.refined |= {"refine": near_tip(self.cone, args), "levels": levels}
+        else:
+            across, up = graded(args)
+            self.finest = min(np.diff(line).min() for line in (across, up))
         lines = [across, up] if self.flat else [across, across, up]
         low, high = (np.array([line[k] for line in lines]) for k in (0, -1))
         return mpm.create_lattice(MPI.COMM_WORLD, lines), low, high

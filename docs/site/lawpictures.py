@@ -24,6 +24,10 @@ def laws() -> dict[str, tuple[str, Any]]:
     M, folder = mpm.materials, ROOT / "demos" / "umat"
     clay = {"swelling": 0.02, "compression": 0.1, "M": 1.2, "mu0": 5e6, "alpha": 0.0}
     clay |= {"reference_pressure": P, "preconsolidation": 1.3 * P}
+    norsand = {"swelling": 0.005, "mu0": 20e6, "alpha": 0.0, "reference_pressure": P, "M": 1.25}
+    norsand |= {"N": 0.2, "chi": 3.5, "hardening": 150.0, "critical_void_ratio": 0.82}
+    norsand |= {"critical_slope": 0.03, "void_ratio": 0.62, "image_pressure": 50e3}
+    small = {"reference_strain": 5e-4, "cohesion": 1e3, "friction_angle": 33.0, "exponent": 0.5}
     return {
         "Hencky": ("Hencky(E=20e6, nu=0.3)", M.Hencky(20e6, 0.3)),
         "NeoHookean": ("NeoHookean(E=20e6, nu=0.3), without a first pressure",
@@ -43,6 +47,17 @@ def laws() -> dict[str, tuple[str, Any]]:
             "CamClay(swelling=0.02, compression=0.1, M=1.2, mu0=5e6, alpha=0, "
             "reference_pressure=100e3, preconsolidation=130e3)",
             M.CamClay(**clay),
+        ),
+        "NorSand": (
+            "NorSand(swelling=0.005, mu0=20e6, alpha=0, reference_pressure=100e3, M=1.25, N=0.2, "
+            "chi=3.5, hardening=150, critical_void_ratio=0.82, critical_slope=0.03, "
+            "void_ratio=0.62, image_pressure=50e3): dense sand",
+            M.NorSand(**norsand),
+        ),
+        "HardinDrnevich": (
+            "HardinDrnevich(G=60e6, nu=0.2, reference_strain=5e-4, cohesion=1e3, "
+            "friction_angle=33, exponent=0.5)",
+            M.HardinDrnevich(60e6, 0.2, **small),
         ),
         "EnergyWithYield": (
             "EnergyWithYield(energy, yield_stress=100e3, K=16.7e6, G=7.7e6)",

@@ -320,6 +320,17 @@ class ActiveRigidContact(ActiveContact):
             own += float(slip_energy(tangential, k, law.slip_share).sum())
         return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
+    def overlapping(self) -> float:
+        """Energy of the penalties at the start of the step, by the gaps (J). Collective.
+
+        Mean forces over a step can give it back, and no force has stored it if the body was placed
+        inside the corners.
+        """
+        start = self.start
+        q = start.multiplier - start.stiffness * start.gap
+        own = float(normal_energy(q, start.stiffness).sum())
+        return self.contact.points.comm.allreduce(own, op=MPI.SUM)
+
     def dissipated(self) -> float:
         """Work dissipated by friction in this step (J), on all ranks. Collective."""
         slips = np.flatnonzero(self.states == SLIPS)

@@ -215,9 +215,11 @@ class RigidBodies:
 
         Returns:
             Work that moves the bodies in the step (J): work of loads on free components, and work
-            of mean forces on prescribed components. In the first explicit step the energy of an
+            of mean forces on prescribed components. In the first step in time the energy of an
             initial penetration is added.
         """
+        new = [a for a in contacts if a.means is not None and a.contact.body.time == 0.0]
+        before, self._before = self._before + sum(active.overlapping() for active in new), 0.0
         sums: dict[int, list[Array]] = {
             id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
         }
@@ -230,7 +232,6 @@ class RigidBodies:
         if self.given is None:
             self.given = sum(active.stored(before=True) for active in contacts)
         self.stored = sum(active.stored() for active in contacts)
-        before, self._before = self._before, 0.0
         mean = any(active.means is not None for active in contacts)
         works = [body.commit(*sums[id(body)], mean=mean) for body in self.all]
         return before + sum(works)

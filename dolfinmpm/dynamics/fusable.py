@@ -21,6 +21,7 @@ from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.grid.constants import is_own
+from dolfinmpm.kinematics.fbar import VOLUMES
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.materials.umat import UMAT
@@ -96,6 +97,8 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         return "laws have several strain formulations, or an unsupported one, or are UMATs"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "F-bar acts in laws by tags"
+    if any(d.fbar == VOLUMES for d in declarations):
+        return "the points keep the mean volumes of F-bar"
     if any(d.u is not space.increment for d in declarations):
         return "a law has another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):

@@ -73,7 +73,7 @@ class Declaration:
         u: The increment of the displacement, on which the stress depends.
         strain: Name of the strain formulation.
         fbar: Whether its points share volume changes over cells (F-bar). With "centres", each
-            point counts only in the cell of its centre.
+            point counts only in the cell of its centre. With "volumes", the points keep the mean.
         tags: Tags of the points with this law; None means all points.
         given: Parameters of the law in UFL by name, if UFL computes the stress.
         operator: The `PointOperator` that computes the stress; None if UFL alone computes it.

@@ -21,7 +21,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
-from dolfinmpm.kinematics.fbar import FBar
+from dolfinmpm.kinematics.fbar import VOLUMES, FBar
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
 from dolfinmpm.kinematics.incremental import Incremental
 from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
@@ -80,7 +80,7 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag)
     check_points(points)
     check_displacement(points, u=u)
     strain = choice("strain", strain, _FORMULATIONS)
-    tags, fbar = as_tags(tag), _means(fbar, u)
+    tags, fbar = as_tags(tag), _means(fbar, u, strain)
     if tags is None:
         # a field with tags has no strain at other points
         tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
@@ -113,22 +113,32 @@ def _degree(u) -> int:
     return space.basis.degree if space is not None else 1
 
 
-def _means(fbar: Any, u) -> bool | str:
-    """Kind of the means of F-bar: True, False or "centres".
+def _means(fbar: Any, u, strain: str) -> bool | str:
+    """Kind of the means of F-bar: True, False, "centres" or "volumes".
 
     Raises:
-        ParameterError: The argument is something else, or is "centres" for splines.
+        ParameterError: The argument is something else, is "centres" for splines, or is "volumes"
+            for another strain than "large" or a total configuration.
     """
     if not isinstance(fbar, str):
-        return truth("fbar", fbar, CENTRES)
-    if fbar != CENTRES:
-        raise ParameterError(f"fbar = {shown(fbar)} must be True, False or {CENTRES!r}")
-    if _degree(u) > 1:
+        return truth("fbar", fbar, CENTRES, VOLUMES)
+    if fbar not in (CENTRES, VOLUMES):
+        raise ParameterError(
+            f"fbar = {shown(fbar)} must be True, False, {CENTRES!r} or {VOLUMES!r}"
+        )
+    if fbar == CENTRES and _degree(u) > 1:
         raise ParameterError(
             f"fbar = {CENTRES!r} is for linear functions and GIMP only: the means of splines of "
             f"degree {_degree(u)} are over splines of one degree less; take fbar=True"
         )
-    return CENTRES
+    if fbar == VOLUMES:
+        space = getattr(u, "_dolfinmpm_space", None)
+        if strain != "large" or (space is not None and space.configuration == "total"):
+            raise ParameterError(
+                f"fbar = {VOLUMES!r} needs strain='large' and the updated configuration, because "
+                "other strains keep no mean volume change; take fbar=True"
+            )
+    return fbar
 
 
 def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -> Declaration:
@@ -199,7 +209,9 @@ def momentum(
         fbar: Whether the points in a cell share the mean volume change of the cell (F-bar, see
             `FBar`), against locking of nearly incompressible bodies. With True, a domain of GIMP
             counts in all cells that it overlaps. With "centres", each point counts only in the
-            cell of its centre, as in explicit codes.
+            cell of its centre, as in explicit codes. With "volumes", the volumes, the domains and
+            F of the points follow the mean, too; see `FBar`. Take it for long flow, where single
+            points would shrink and swell.
         tag: Tags of the points with this law, one or several; None means all points of u's field.
             Laws in one form must be for different points.
 

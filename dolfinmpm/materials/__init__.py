@@ -3,10 +3,12 @@
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.camclay import CamClay
 from dolfinmpm.materials.druckerprager import DruckerPrager
+from dolfinmpm.materials.hardindrnevich import HardinDrnevich
 from dolfinmpm.materials.hencky import Hencky
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.mohrcoulomb import MohrCoulomb
 from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.materials.norsand import NorSand
 from dolfinmpm.materials.parametrised import Parameter
 from dolfinmpm.materials.sands import Sand, sand
 from dolfinmpm.materials.tresca import Tresca
@@ -19,10 +21,12 @@ __all__ = [
     "CamClay",
     "DruckerPrager",
     "EnergyWithYield",
+    "HardinDrnevich",
     "Hencky",
     "Law",
     "MohrCoulomb",
     "NeoHookean",
+    "NorSand",
     "Parameter",
     "Sand",
     "Tresca",

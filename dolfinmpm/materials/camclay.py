@@ -9,9 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.parametrised import Parameter, Value
+from dolfinmpm.materials.pressureelasticity import (
+    PressureElastic,
+    elastic_tangent,
+    meridian_tangent,
+)
 
 __all__ = ["CamClay"]
 
@@ -117,14 +121,6 @@ def _place(z_trial, y_trial, shear_trial, swelling, compression, M, mu0, alpha):
     return math.nan
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _elastic_tangent(bulk, mu, coupling, e, tangent):
-    for i in range(3):
-        for j in range(3):
-            tangent[3 * i + j] = bulk - 2.0 / 3.0 * mu - coupling * (e[i] + e[j])
-        tangent[4 * i] += 2.0 * mu
-
-
 @law_kernel
 def _cam_clay(parameters, strain, old, new, stress, tangent):
     swelling, compression, M = parameters[0], parameters[1], parameters[2]
@@ -153,7 +149,7 @@ def _cam_clay(parameters, strain, old, new, stress, tangent):
             new[0] = pc
             for i in range(3):
                 stress[i] = -p + 2.0 * mu * e[i]
-            _elastic_tangent(p / swelling, mu, coupling, e, tangent)
+            elastic_tangent(p / swelling, mu, coupling, e, tangent)
             return 0
         tie = f <= _TIE * pc * pc
     bulk = p / swelling
@@ -194,29 +190,21 @@ def _cam_clay(parameters, strain, old, new, stress, tangent):
         return 1
 
     n = (0.0, 0.0, 0.0)
-    secant = E22  # q/ε_s of the trial strain, and its limit
     if shear_trial > 0.0:
         n = (e[0] / norm, e[1] / norm, e[2] / norm)
-        secant = q / shear_trial
-    secant *= 2.0 / 3.0
+    meridian_tangent(E11, E12, E21, E22, q, shear_trial, n, tangent)
     two = math.sqrt(2.0 / 3.0)
     volume += plastic
-    for i in range(3):
-        even = E11 + two * n[i] * E21 - secant / 3.0
-        along = two * E12 + (2.0 / 3.0 * E22 - secant) * n[i]
-        for j in range(3):
-            tangent[3 * i + j] = even + along * n[j]
-        tangent[4 * i] += secant
     for i in range(3):
         stress[i] = -p + two * q * n[i]
         strain[i] = volume / 3.0 + shear * n[i] / two
     if tie:
-        _elastic_tangent(bulk, mu, coupling, e, tangent)
+        elastic_tangent(bulk, mu, coupling, e, tangent)
     new[0] = pc
     return 0
 
 
-class CamClay(Law):
+class CamClay(PressureElastic):
     """Modified Cam-Clay over the hyperelasticity of Borja and Tamagnini.
 
     With p = tr(τ)/3 < 0 in compression, q = √(3/2) |dev τ|, ε_v = tr ε, ε_s = √(2/3) |dev ε| of
@@ -321,18 +309,6 @@ class CamClay(Law):
                     f"CamClay: {left} = {known[left][at]:g} must {rule} "
                     f"{right} = {known[right][at]:g}"
                 )
-
-    def energy(self, strain: Array, parameters: Array) -> Array:
-        """Ψ = |p0| κ̂ e^Ω + 3/2 (μ0 + α |p0| e^Ω) ε_s² (J/m³); see `Law.energy`."""
-        swelling, mu0, alpha, p0, volume = (parameters[:, k] for k in (0, 3, 4, 5, 6))
-        trace = strain.sum(axis=1)
-        shear = 2.0 / 3.0 * np.sum((strain - trace[:, None] / 3) ** 2, axis=1)
-        x = p0 * np.exp((volume - trace) / swelling)
-        return swelling * x + 1.5 * (mu0 + alpha * x) * shear
-
-    def unyielding(self, internal: Array) -> Array:
-        """Internal variables of an infinitely large yield surface; see `Law.unyielding`."""
-        return np.full_like(internal, np.inf)
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """f = (q/M)² + p (p − pc) (Pa²), shape (n,); see `Law.yield_function`."""

@@ -92,7 +92,7 @@ def _drucker_prager(parameters, strain, old, new, stress, tangent):
     return 0
 
 
-def _slope(angle: Array, fit: str) -> Array:
+def cone_slope(angle: Array, fit: str) -> Array:
     """η of the cone that fits Mohr–Coulomb's pyramid of this angle (rad)."""
     sine = np.sin(angle)
     if fit == "compression":
@@ -102,7 +102,7 @@ def _slope(angle: Array, fit: str) -> Array:
     return math.sqrt(3.0) * sine / np.sqrt(3.0 + sine**2)
 
 
-def _cohesive(angle: Array, fit: str) -> Array:
+def cone_strength(angle: Array, fit: str) -> Array:
     """ξ of the cone that fits Mohr–Coulomb's pyramid of this angle (rad)."""
     sine, cosine = np.sin(angle), np.cos(angle)
     if fit == "compression":
@@ -211,7 +211,11 @@ class DruckerPrager(Law):
     def completed(self, parameters: Array) -> Array:
         """The parameters of the kernel: the declared ones, then η, ξ and η̄."""
         friction, dilation = np.radians(parameters[:, 3]), np.radians(parameters[:, 4])
-        cone = _slope(friction, self.fit), _cohesive(friction, self.fit), _slope(dilation, self.fit)
+        cone = (
+            cone_slope(friction, self.fit),
+            cone_strength(friction, self.fit),
+            cone_slope(dilation, self.fit),
+        )
         return np.column_stack([parameters, *cone])
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:

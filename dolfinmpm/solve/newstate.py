@@ -21,6 +21,7 @@ from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.grid.tensors import products
+from dolfinmpm.kinematics.fbar import VOLUMES, share_volumes
 from dolfinmpm.solve.operator import Operator
 
 if TYPE_CHECKING:
@@ -120,11 +121,15 @@ def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDA
     u, gradient = operator.points.motion(here.movers)
     dF = deformation(points, u, gradient)
     new["F"], J = products(np.ascontiguousarray(dF), points["F"])
+    bad = np.flatnonzero(~(J > 0))
+    for declaration in operator.form.parts.declarations:
+        if declaration.fbar == VOLUMES and not bad.size:
+            share_volumes(new["F"], J, new["J_bar"], declaration.rows)
     new["V"] = J * points["V0"]
     new["x"] = points["x"] + u if x is None else x
     if any(here.fields[k].basis.averaged for k in here.movers):
         new["l"] = _domains(operator, new["F"])
-    return np.flatnonzero(~(J > 0))
+    return bad
 
 
 @stages.commit

@@ -20,6 +20,20 @@ def test_a_cone_in_clay(tmp_path):
     assert (tmp_path / "cone_penetration_tresca_axisymmetric.png").stat().st_size > 0
 
 
+def test_cells_that_follow_the_tip(tmp_path):
+    """Cells around the tip alone find the force of a grid that is fine all along the way."""
+    options = "--h", "0.5", "--step", "0.1", "--depth", "7.5", "--width", "15"
+    fine = run("cone_penetration", *options, "--ghost", "0.03", "--penalty", "1", "--no-plot")
+    found = run("cone_penetration", "--refine", *options, "--output", str(tmp_path))
+    assert not found["reason"]
+    assert found["halvings"] == 0
+    last = slice(-5, None)
+    ratio = np.mean(found["factors"][last]) / np.mean(fine["factors"][last])
+    assert ratio == pytest.approx(1.0, abs=0.05)
+    assert found["unknowns"] < fine["unknowns"]
+    assert (tmp_path / "cone_penetration_tresca_axisymmetric.png").stat().st_size > 0
+
+
 @pytest.mark.parametrize(
     "stabilisation", ["ghost", pytest.param("aggregation", marks=pytest.mark.long)]
 )

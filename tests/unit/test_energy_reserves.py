@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+import dolfinmpm as mpm
 from dolfinmpm.contact.contactlaw import explicit_reduction
 from dolfinmpm.contact.storedenergy import bounding_multipliers, normal_energy
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
@@ -95,3 +96,24 @@ def test_explicit_contact_that_begins_within_a_step_keeps_energy():
         found = [bounced(0.2, offset, corrects) for offset in np.linspace(0.0, 1.0, 11)]
         errors[corrects] = max(abs(one - 1.0) for one in found)
     assert errors[True] < 0.3 * errors[False]
+
+
+def test_a_rigid_body_placed_inside_points_brings_energy():
+    """Energy of an initial overlap is work done from outside, and not energy from nothing."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(7), range(5)])
+    points = mpm.fill(grid, mpm.Box((3, 1), (5, 3)), per_cell=2, density=1000.0)
+    points.add_field("velocity", (2,), "m/s")
+    V = mpm.Space(grid, "linear")
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    body = mpm.RigidBody(mpm.Box((1, 1.2), (3.01, 2.8)), mass=2e3, inertia=1e3, name="body")
+    F += mpm.contact(body, points, V.increment, V.test)
+    problem = mpm.Newmark(F, V.increment, points)
+    assert problem.energies().initial == 0.0
+    problem.step(0.01)
+    e = problem.energies()
+    # corners on 1.5 m of the side of 2 m are inside by 0.01 m, under 5 E/h
+    assert e.external == pytest.approx(0.5 * 5e6 * 1.5 * 0.01**2)
+    assert e.kinetic + e.bodies > 0.1 * e.external
+    assert abs(e["integrator"]) < 0.02 * e.external
+    problem.step(0.02)
+    assert problem.energies().external == e.external

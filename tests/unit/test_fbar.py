@@ -357,3 +357,37 @@ def test_dilation_is_refused(law, angle, strain):
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, 1.0)
     plain = mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, dilation_angle=0.0)
     mpm.QuasiStatic(mpm.momentum(plain, points, u, v, strain=strain, fbar=True), u, points)
+
+
+@pytest.mark.parametrize("basis", BASES)
+def test_points_keep_mean_volumes(basis):
+    """F, V and the domains follow J̄, and a step keeps the sum of volumes that fbar=True has."""
+    law = Hencky(E=20.0, nu=0.45)
+    kept, true = (bent(basis, law, steps=1, fbar=fbar).points for fbar in ("volumes", True))
+    J_bar = kept["J_bar"]
+    assert np.ptp(J_bar) > 1e-2
+    np.testing.assert_allclose(np.linalg.det(kept["F"]), J_bar, rtol=1e-12)
+    np.testing.assert_allclose(kept["V"], J_bar * kept["V0"], rtol=1e-12)
+    np.testing.assert_allclose(kept["stress"], true["stress"], rtol=1e-10, atol=1e-12)
+    assert np.abs(true["V"] / kept["V"] - 1).max() > 1e-3
+    if basis in ("linear", "gimp"):
+        np.testing.assert_allclose(kept["V"].sum(), true["V"].sum(), rtol=1e-12)
+    # the law does not know the difference: a pressure by J̄ after more steps, too
+    points = bent(basis, law, fbar="volumes").points
+    J_bar, K = points["J_bar"], 20.0 / (3 * (1 - 2 * 0.45))
+    pressure = np.trace(points["stress"], axis1=1, axis2=2) / 3
+    np.testing.assert_allclose(pressure, K * np.log(J_bar) / J_bar, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("strain", "options"), [("small", {}), ("large", {"configuration": "total"})]
+)
+def test_mean_volumes_need_a_mean(strain, options):
+    """Strains without J̄, and the total configuration, refuse fbar="volumes"."""
+    grid = mesh.create_unit_square(MPI.COMM_SELF, 2, 2, mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 1.0)
+    V = mpm.Space(grid, "linear", **options)
+    with pytest.raises(mpm.errors.ParameterError, match="volumes"):
+        mpm.momentum(
+            Hencky(E=1.0, nu=0.3), points, V.increment, V.test, strain=strain, fbar="volumes"
+        )

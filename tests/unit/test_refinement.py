@@ -202,6 +202,18 @@ def test_points_split_and_merge_with_the_leaves():
     assert float(points["density"] @ points["V0"]) == pytest.approx(mass, rel=1e-13)
 
 
+def test_cells_follow_a_part_of_a_body():
+    """The sizes are those near the part, where the body has gone."""
+    pile = mpm.RigidBody(mpm.Box((0, 0), (1, 9)), increment=(0, -0.2))
+    toe = mpm.near(pile, 0.1, reach=0.5, growth=0.5, part=mpm.Box((0, 0), (1, 1)))
+    low = np.array([[1.0, 0.5], [1.0, 8.0]])
+    assert toe.wanted(low, low + 0.01) == pytest.approx([0.1, 3.25], abs=0.02)
+    pile.start = pile.pose.moved(np.array([0.0, -2.0]), np.zeros(1))
+    assert toe.wanted(low, low + 0.01) == pytest.approx([0.5, 4.25], abs=0.02)
+    with pytest.raises(mpm.errors.ParameterError, match="3 dimensions"):
+        mpm.near(pile, 0.1, part=mpm.Box((0, 0, 0), (1, 1, 1)))
+
+
 def test_cells_follow_a_rigid_body():
     grid = lattice(2)
     ball = mpm.RigidBody(mpm.Ball((2, 2.8), 0.5), increment=(0, -0.2))

@@ -39,7 +39,12 @@ LAWS = {
         reference_pressure=2e4,
         preconsolidation=4e4,
     ),
-}
+    "NorSand": mpm.materials.NorSand(
+        swelling=0.018, mu0=5.4e6, alpha=0.0, reference_pressure=2e4, M=1.25, N=0.2, chi=3.5,
+        hardening=150.0, critical_void_ratio=0.82, critical_slope=0.03, void_ratio=0.65,
+        image_pressure=1e4,
+    ),
+}  # fmt: skip
 MEASURES = ("large", "small", "jaumann")
 each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
 each_measure = pytest.mark.parametrize("strain", MEASURES)

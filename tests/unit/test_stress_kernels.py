@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dolfinmpm.materials import CamClay, DruckerPrager, Hencky, MohrCoulomb, Tresca, VonMises
+from dolfinmpm.materials import (
+    CamClay,
+    DruckerPrager,
+    Hencky,
+    MohrCoulomb,
+    NorSand,
+    Tresca,
+    VonMises,
+)
 from dolfinmpm.materials.base import ELASTIC, Law
 from dolfinmpm.materials.lawkernel import law_kernel, respond_at_points
 
@@ -24,7 +32,12 @@ LAWS = [
         reference_pressure=20.0,
         preconsolidation=2e4,
     ),
-]
+    NorSand(
+        swelling=0.01, mu0=2e7, alpha=0.0, reference_pressure=1e5, M=1.25, N=0.2, chi=3.5,
+        hardening=150.0, critical_void_ratio=0.82, critical_slope=0.03, void_ratio=0.65,
+        image_pressure=5e4,
+    ),
+]  # fmt: skip
 
 
 def respond(address, law, trial):
@@ -41,7 +54,7 @@ def respond(address, law, trial):
 def test_a_kernel_without_a_tangent_gives_the_same_state(law):
     assert law.stress_address != law.address
     trial = np.random.default_rng(5).uniform(-2e-3, 1e-3, (200, 3))
-    if isinstance(law, CamClay):
+    if isinstance(law, (CamClay, NorSand)):
         trial = trial * [1.0, 0.2, 0.2] - 1e-2
     whole = respond(law.address, law, trial)
     part = respond(law.stress_address, law, trial)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.shapesurface import surface_of
 
 __all__ = ["near", "where_it_yields"]
 
@@ -18,8 +19,9 @@ Array = npt.NDArray[np.float64]
 class _Near:
     """See `near`."""
 
-    def __init__(self, body: Any, size: float, reach: float, growth: float):
-        self._body, self._size, self._reach, self._growth = body, size, reach, growth
+    def __init__(self, body: Any, surface: Any, size: float, reach: float, growth: float):
+        self._body, self._surface = body, surface
+        self._size, self._reach, self._growth = size, reach, growth
         self.least = size
 
     def wanted(self, low: Array, high: Array) -> Array:
@@ -28,12 +30,14 @@ class _Near:
             return np.empty(0)
         # the surface is that of the body where it was made
         x = self._body.start.back(0.5 * (low + high))
-        gap = self._body.surface.probe(np.ascontiguousarray(x))[0]
+        gap = self._surface.probe(np.ascontiguousarray(x))[0]
         apart = np.abs(gap) - 0.5 * np.linalg.norm(high - low, axis=1)
         return np.maximum(self._size, self._growth * (apart - self._reach))
 
 
-def near(body: Any, size: float, *, reach: float | None = None, growth: float = 0.5) -> _Near:
+def near(
+    body: Any, size: float, *, reach: float | None = None, growth: float = 0.5, part: Any = None
+) -> _Near:
     """Cells of a size near a rigid body, for `Space(refine=...)`; they grow with distance.
 
     The size wanted at a distance a from the surface of the body is max(size, growth (a − reach)).
@@ -45,6 +49,9 @@ def near(body: Any, size: float, *, reach: float | None = None, growth: float = 
         reach: Distance up to which cells have this size (m); four cells by default.
         growth: Growth of the size with distance (-): with 0.5, a ring of cells of each size is two
             cells wide.
+        part: A shape, where the body was made. The cells are fine near its surface, in place of
+            that of the body, and go along with the body. For a penetrometer, it is the cone without
+            the shaft.
 
     Raises:
         ParameterError: An argument is not valid.
@@ -63,7 +70,12 @@ def near(body: Any, size: float, *, reach: float | None = None, growth: float = 
         reach = 4 * size
     elif number("reach", reach, unit="m") < 0:
         raise ParameterError(f"reach = {reach:g} m must not be negative")
-    return _Near(body, float(size), float(reach), number("growth", growth, 0.0))
+    surface = body.surface if part is None else surface_of(part, 0.0)
+    if surface.gdim != body.surface.gdim:
+        raise ParameterError(
+            f"part = {shown(part)} has {surface.gdim} dimensions; the body has {body.surface.gdim}"
+        )
+    return _Near(body, surface, float(size), float(reach), number("growth", growth, 0.0))
 
 
 class _WhereItYields:
