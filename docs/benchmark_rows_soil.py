@@ -6,6 +6,7 @@ from benchmark_rows import Answer, Row, each, keys
 
 RINGS, STEEL, WATER = "Axisymmetric bodies", "Soil and steel", "Soil and water"
 LEAVES = "Refined spaces"
+GROUND = "Ground"
 EXACT = "exact: 0"
 TOUCHING = "--contact bodies --integrator newmark --mass consistent --mapping flip"
 SWEEP = "--sweep --load 1e-3 --permeability constant --theta 1"
@@ -60,6 +61,11 @@ def _leaf_footing(answer: Answer) -> list[float]:
     last = [[r for r in runs if r["grid"] == g][-1] for g in ("uniform", "graded lines", "leaves")]
     figures = [f for r in last for f in (100 * r["error"], r["unknowns"])]
     return [*figures, 100 * answer["footing"]["share"]]
+
+
+def _amplification(*answers: Answer) -> list[float]:
+    """Largest error of the amplification (%) up to 10 and up to 20 nodes per wavelength."""
+    return [100 * answer["errors"][nodes] for answer in answers for nodes in ("10", "20")]
 
 
 ROWS = (
@@ -223,4 +229,21 @@ ROWS = (
     Row("water-3d", WATER, "square footing in 3D, 12 000 and 34 000 unknowns: linear iterations "
         "per Newton iteration", each("footing_3d", "--cells 14,20 --steps 2"), iterations,
         "{:.0f}, {:.0f}"),
+    Row("site", GROUND, "shear waves in a layer on rock, quadratic splines, consistent mass: "
+        "largest error of the amplification up to 10, up to 20 nodes per wavelength (%): Newmark; "
+        "explicit", each("site_response", "", "--integrator explicit"), _amplification,
+        "{:.2f}, {:.2f}; {:.2f}, {:.2f}", "at most 2 (Kramer 1996)"),
+    Row("site-others", GROUND, "the same, Newmark: quadratic splines, lumped mass; GIMP, "
+        "consistent mass; GIMP, lumped mass",
+        each("site_response", "--mass lumped", "--basis gimp", "--basis gimp --mass lumped"),
+        _amplification, "{:.0f}, {:.1f}; {:.0f}, {:.1f}; {:.0f}, {:.1f}", "0"),
+    Row("sliding", GROUND, "slope with a weak layer in an earthquake: slip against a rigid block "
+        "(%): waves of 2000 m/s; waves of 400 m/s, which a rigid block does not have",
+        each("sliding_slope", "", "--s-speed 400"), percent("error"), "{:+.2f}; {:+.1f}",
+        "Newmark's sliding block (1965): 0"),
+    Row("debris", GROUND, "debris flow down a valley in 3D, two ranks: error of the volume, of the "
+        "momentum by the forces on bed and wall (%), peak force on the wall (MN)",
+        ("mpirun -n 2 python3 demos/studies/debris_flow.py",),
+        lambda a: [100 * a["volume_error"], 100 * a["momentum_error"], 1e-6 * a["peak"]],
+        "{:.0e}, {:.2f}, {:.1f}", "0, 0"),
 )  # fmt: skip

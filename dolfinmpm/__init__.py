@@ -21,14 +21,17 @@ with _idle_collector():
     from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
+    from dolfinmpm.body.terrain import Terrain
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
     from dolfinmpm.contact.wantedsizes import near, where_it_yields
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
+    from dolfinmpm.cut.tiedsides import tied
     from dolfinmpm.dynamics import (
         Collision,
         Explicit,
         GeneralisedAlpha,
+        InputMotion,
         Mapping,
         Newmark,
         Transient,
@@ -54,7 +57,7 @@ with _idle_collector():
         stress,
     )
     from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
-    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid
+    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid, start_at_rest
 
 __version__ = "0.1.0"
 
@@ -75,6 +78,7 @@ __all__ = [
     "Fluid",
     "GeneralisedAlpha",
     "History",
+    "InputMotion",
     "Layer",
     "Mapping",
     "MaterialPoints",
@@ -90,6 +94,7 @@ __all__ = [
     "Space",
     "Stabilisation",
     "Surface",
+    "Terrain",
     "Transient",
     "TurnedBox",
     "Wedge",
@@ -133,10 +138,12 @@ __all__ = [
     "soft",
     "split",
     "springs",
+    "start_at_rest",
     "steps",
     "stiffness_per_area",
     "stress",
     "study",
+    "tied",
     "times",
     "where_it_yields",
     "zoned_line",

@@ -24,6 +24,7 @@ __all__ = [
     "DifferentProblemWarning",
     "DolfinMPMError",
     "DolfinMPMWarning",
+    "DriftingRecordWarning",
     "EmptyShapeError",
     "FieldShapeError",
     "FormError",
@@ -154,6 +155,10 @@ class DegreesWarning(DolfinMPMWarning):
 
 class DifferentProblemWarning(DolfinMPMWarning):
     """A checkpoint goes on in a problem with other laws, bases, stabilisations or conditions."""
+
+
+class DriftingRecordWarning(DolfinMPMWarning):
+    """A recorded motion of the ground does not come to rest at its end."""
 
 
 class SingularMassWarning(DolfinMPMWarning):

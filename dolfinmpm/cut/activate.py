@@ -349,7 +349,9 @@ class _Builder:
         if field.prolongate is not None:
             from scipy import sparse
 
-            own = sparse.csr_matrix(field.prolongate(seen, nodes))
+            of_basis = getattr(field.prolongate, "of_basis", None)
+            made = field.prolongate(seen, nodes) if of_basis is None else of_basis(basis, nodes)
+            own = sparse.csr_matrix(made)
             C = own if C is None else C @ own
         if isinstance(basis, LeafBasis) and basis.hangs.any():
             H = basis.hanging

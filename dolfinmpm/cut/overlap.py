@@ -40,6 +40,7 @@ def overlapping_bases(
         need = max(reaches[id(basis)][0], least)
         if averages:
             need = max(need, layers_needed(span, basis))
+        need = max(need, getattr(one.prolongate, "layers", 0))
         if one.constrains_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
             # whether a cell of splines is a root depends on the cells around it

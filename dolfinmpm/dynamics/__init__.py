@@ -4,6 +4,7 @@ from dolfinmpm.dynamics.clock import times
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.explicit import Explicit
 from dolfinmpm.dynamics.faces import absorbing, frictional
+from dolfinmpm.dynamics.inputmotion import InputMotion
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.newmark import GeneralisedAlpha, Newmark
 from dolfinmpm.dynamics.transient import Transient
@@ -12,6 +13,7 @@ __all__ = [
     "Collision",
     "Explicit",
     "GeneralisedAlpha",
+    "InputMotion",
     "Mapping",
     "Newmark",
     "Transient",

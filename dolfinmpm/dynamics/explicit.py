@@ -191,6 +191,11 @@ class Explicit(MovingBody, Problem):
         self._loop: CollisionSteps | FusedSteps | GeneralSteps
         if collision is not None:
             check_kind("collision", collision, Collision, "give mpm.Collision(tags=(1, 2))")
+            if sides.incoming:
+                raise ParameterError(
+                    "bodies that collide at the nodes take no waves through a side: leave out "
+                    "collision= or incoming="
+                )
             raise_together(points.comm, collision_error(self, mass, settings))
             self._loop = CollisionSteps(self, settings, sides, collision)
             return
@@ -239,6 +244,8 @@ class Explicit(MovingBody, Problem):
         """The fused loops, or why there are none."""
         form, field, settings = self.form, self.fields[0], self.settings
         reason = why_not(form, field, self.terms.kind, settings, self.held, options)
+        if reason is None and sides.incoming:
+            reason = "waves come in through a side"
         if reason is not None:
             return reason
         laws, loads = Laws(self.points, form.parts.declarations), FusedLoads(form)

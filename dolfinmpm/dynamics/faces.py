@@ -16,13 +16,13 @@ from dolfinmpm._platform.argumentchecks import check_kind, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.bspline import integrals, middles
 from dolfinmpm.basis.conditions import Condition, prescribed
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.essentialconditions import renumbered
+from dolfinmpm.dynamics.incomingwaves import IncomingWaves, checked_incoming
+from dolfinmpm.dynamics.sideareas import areas, radii
 from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.sides import side_of
 
@@ -50,6 +50,7 @@ class Face:
         friction: Coulomb's coefficient, or None.
         impedance: Impedances of pressure and shear waves, ρ c (Pa s/m), or None.
         where: Name of the side in messages.
+        incoming: Velocities by time of waves that come in (m/s), one per direction, or None.
     """
 
     space: Space
@@ -59,6 +60,7 @@ class Face:
     friction: float | None
     impedance: tuple[float, float] | None
     where: str
+    incoming: tuple[Any, ...] | None = None
 
     @property
     def kind(self) -> str:
@@ -113,9 +115,14 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
 
 @collective
 def absorbing(
-    space: Space, *sides: str, density: float, p_speed: float, s_speed: float = 0.0
+    space: Space,
+    *sides: str,
+    density: float,
+    p_speed: float,
+    s_speed: float = 0.0,
+    incoming: Sequence[Any] | None = None,
 ) -> list[Face]:
-    """Sides of the grid with dashpots that let waves out. Collective.
+    """Sides of the grid with dashpots that let waves out, and waves in. Collective.
 
     The tractions are −ρ c_p v_n and −ρ c_s v_t. They absorb waves at normal incidence completely
     (Lysmer & Kuhlemeyer 1969, J. Eng. Mech. Div. ASCE 95, 859).
@@ -125,10 +132,14 @@ def absorbing(
         sides: Names of sides; see `prescribed`.
         density: ρ (kg/m^d).
         p_speed, s_speed: Speeds of pressure and shear waves (m/s).
+        incoming: Waves that come in through the sides: per direction of motion a function of time
+            that returns the velocity of the wave (m/s), such as an `InputMotion`, or None. The
+            tractions are then ρ c (2 v_up − v). The upward wave v_up is half of the motion at an
+            outcrop of the ground beyond the sides.
 
     Raises:
-        ParameterError: A side is unknown, a number is outside its range, or s_speed exceeds
-            p_speed.
+        ParameterError: A side is unknown, a number is outside its range, s_speed exceeds p_speed,
+            or a wave comes in where the sides have no dashpots.
         UnsupportedGridError: The grid is not rectangular.
 
     A wave leaves at the bottom, and takes energy with it:
@@ -161,7 +172,10 @@ def absorbing(
             "p_speed = 0 m/s and s_speed = 0 m/s: such sides let no wave out; give the speeds of "
             "the ground, √(M/ρ) and √(G/ρ)"
         )
-    return [_face(space, side, None, (rho * p, rho * s)) for side in sides]
+    d = space.grid.geometry.dim
+    axes = [side_of(side, d)[1] for side in sides]
+    waves = checked_incoming(incoming, (rho * p, rho * s), axes, d)
+    return [_face(space, side, None, (rho * p, rho * s), waves) for side in sides]
 
 
 def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
@@ -184,10 +198,10 @@ def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
         raise ParameterError(f"the side {shown(again[0])} is given twice; it would act twice")
 
 
-def _face(space: Space, side: str, friction, impedance) -> Face:
+def _face(space: Space, side: str, friction, impedance, incoming=None) -> Face:
     name, axis, end = side_of(side, space.grid.geometry.dim)
     (condition,) = prescribed(space, name, axis)
-    return Face(space, condition.nodes, axis, end, friction, impedance, name)
+    return Face(space, condition.nodes, axis, end, friction, impedance, name, incoming)
 
 
 def split_conditions(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
@@ -224,12 +238,14 @@ class Faces:
 
     Attributes:
         dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
+        waves: Waves that come in.
     """
 
     def __init__(self, faces: Sequence[Face], basis: Any, d: int, axisymmetric: bool = False):
         self._d = d
         self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
         self.dashpots: Array | None = None
+        self.waves = IncomingWaves(basis.nodes.size, d)
         for face in faces:
             base = face.space.basis
             marks = np.zeros(base.nodes.size)
@@ -241,12 +257,14 @@ class Faces:
             if face.impedance is not None:
                 if self.dashpots is None:
                     self.dashpots = np.zeros((basis.nodes.size, d))
-                area = _areas(basis, nodes, face.axis)
+                area = areas(basis, nodes, face.axis)
                 if axisymmetric:
-                    area = ring(_middles(basis, nodes, face), area)
+                    area = ring(radii(basis, nodes, face.axis, face.end), area)
                 for k in range(d):
                     rate = face.impedance[0 if k == face.axis else 1]
                     self.dashpots[nodes, k] += rate * area
+                    if face.incoming is not None and face.incoming[k] is not None:
+                        self.waves.add(nodes, k, rate * area, face.incoming[k])
 
     def by_nodes(
         self, place: npt.NDArray[np.intp], size: int
@@ -351,6 +369,11 @@ class Sides:
     def __len__(self):
         return len(self._faces)
 
+    @property
+    def incoming(self) -> bool:
+        """Whether waves come in through a face."""
+        return any(face.incoming is not None for face in self._faces)
+
     def regrid(self) -> None:
         """Discard areas that depend on the old grid lines."""
         self._on.clear()
@@ -362,22 +385,3 @@ class Sides:
         if basis not in self._on:
             self._on[basis] = Faces(self._faces, basis, self._d, self._axisymmetric)
         return self._on[basis]
-
-
-def _middles(basis: LatticeBasis, nodes: npt.NDArray[np.intp], face: Face) -> Array:
-    """Radii of the centroids of the nodes' functions on a side (m)."""
-    line = basis.lattice.lines[0]
-    if face.axis == 0:
-        return np.full(nodes.size, line[-1 if face.end else 0])
-    return middles(line, basis.degree)[basis.halo.node_ijk[nodes, 0]]
-
-
-def _areas(basis: LatticeBasis, nodes: npt.NDArray[np.intp], axis: int) -> Array:
-    """Integrals of the nodes' functions over a side (m^(d-1))."""
-    area = np.ones(nodes.size)
-    for k, line in enumerate(basis.lattice.lines):
-        if k == axis:
-            continue
-        whole = integrals(line, basis.degree)
-        area *= whole[basis.halo.node_ijk[nodes, k]]
-    return area

@@ -30,11 +30,12 @@ from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
-from dolfinmpm.dynamics.faces import set_velocities
+from dolfinmpm.dynamics.faces import Faces, set_velocities
 from dolfinmpm.dynamics.halfstep import lateness, lateness_by_contact, mapping_loss
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
+from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import viscous_pressure
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
@@ -103,7 +104,7 @@ class GeneralSteps(ExplicitBase):
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end = self._end(V + kick * A, mass, here, held, kick)
+        V_end = self._end((V, A), mass, here, held, kick, step.t - dt)
         new = self._to_points(operator, s, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_strain, V_move = V if settings.scheme == "usf" else V_end, V_end
@@ -279,21 +280,54 @@ class GeneralSteps(ExplicitBase):
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
 
     @stages.solve
-    def _end(self, V_end: Array, mass: Mass, here: Activation, held: Array, dt: float) -> Array:
-        """Velocities at the end of a step, with faces of the grid and conditions. Collective."""
+    def _end(
+        self, motion: tuple[Array, Array], mass: Mass, here: Activation, held: Array, dt: float,
+        t: float,
+    ) -> Array:  # fmt: skip
+        """Velocities at the end of a step, with faces of the grid and conditions. Collective.
+
+        Waves come in with their forces at the time t of the positions.
+        """
+        V, A = motion
+        V_end = V + dt * A
         faces = self._sides.on(here.fields[0].basis)
+        fixed = here.unknowns.fields[0].fixed
         if faces is not None and faces.dashpots is not None:
-            m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
-            free = V_end.copy()
-            V_end /= 1.0 + dt * faces.dashpots / m
-            self._work.losses["damping"] += mass.lost(free, V_end)
+            V_end[fixed] = held[fixed]
+            V_end = self._damped(V, V_end, mass, here, faces, dt, t)
         if faces is not None:
             free = V_end.copy()
             faces.rub(V_end)
             self._work.losses["friction"] += mass.lost(free, V_end)
-        fixed = here.unknowns.fields[0].fixed
         V_end[fixed] = held[fixed]
         return V_end
+
+    def _damped(
+        self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces, dt: float,
+        t: float,
+    ) -> Array:  # fmt: skip
+        """Velocities after dashpots and incoming waves. Collective."""
+        problem, settings, field = self._problem, self._settings, here.fields[0]
+        own, waves = here.unknowns.fields[0], faces.waves
+        free = np.zeros_like(own.fixed)
+        free[own.owned_nodes] = ~own.fixed[own.owned_nodes]
+        assert faces.dashpots is not None
+        sides = SideDashpots(mass, faces.dashpots, waves.forces(t), free, dt)
+        if problem.terms.kind == "consistent":
+            damped, at_side = sides.consistent(V_end)
+        elif settings.gives_back and (waves or field.C is not None):
+            weight = settings.scaling * point_masses(problem.points)
+            damped, at_side = sides.lumped(V_end, V, field.stencils, weight)
+        else:
+            # as in the fused loop
+            damped = at_side = sides.by_nodes(V_end)
+            if not waves:
+                self._work.losses["damping"] += mass.lost(V_end, damped)
+                return damped
+        came, lost = sides.works(at_side)
+        self._work.external += came
+        self._work.losses["damping"] += lost
+        return damped
 
     def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
         """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.

@@ -29,6 +29,7 @@ from dolfinmpm.dynamics.stepwork import (
     mean_contact_forces,
     work_of_contact,
     work_of_loads,
+    work_of_waves,
 )
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
@@ -74,6 +75,8 @@ class GridMotion:
         self.ledger, self.penalty_energy, self._gain = ledger, PenaltyEnergy(), EnergyGain()
         # whether the accelerations at the start of the next step follow from M a = f
         self._starting = True
+        # times of the start and of the end of the substep (s)
+        self._times = 0.0, 0.0
 
     def begin(self, jumped: bool, varying: bool) -> None:
         """Begin a step.
@@ -90,16 +93,19 @@ class GridMotion:
         self._sides.regrid()
 
     @stages.assemble
-    def to_grid(self, here: Activation, form: WeakForm, dt: float, rates: Sequence[Array]) -> None:
+    def to_grid(
+        self, here: Activation, form: WeakForm, t: float, dt: float, rates: Sequence[Array]
+    ) -> None:
         """Velocities and accelerations of the nodes at the start of a step. Collective.
 
         Args:
             here: The activation.
             form: The weak form, for M a = f.
+            t: Time at the end of the step (s).
             dt: Length of the step (s).
             rates: Velocities of prescribed components (m/s), shape (nodes, d) per field.
         """
-        start = None
+        start, self._times = None, (t - dt, t)
         if self._starting or self.rule.by_forces:
             plain = Operator(form, here)
             plain.move_to_start()
@@ -144,6 +150,8 @@ class GridMotion:
             faces = self._sides.on(field.basis)
             if faces is not None and faces.dashpots is not None:
                 forces.arrays[0][:] -= faces.dashpots * V
+                if faces.waves:
+                    forces.arrays[0][:] += faces.waves.forces(self._times[0])
         else:
             m = point_masses(points)
             scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
@@ -160,10 +168,13 @@ class GridMotion:
         level, one = 1.0 - rule.alpha_f, self.nodes[0]
         rest = rule.acceleration(np.zeros_like(one.V), one.V, one.A, dt)
         start = level * rule.velocity(one.V, one.A, rest, dt) + rule.alpha_f * one.V
+        push = c * start
+        if faces.waves:
+            push = push - faces.waves.forces(self._times[0] + level * dt)
         owned = here.unknowns.fields[0].owned_nodes
         nodes = owned[c[owned].any(axis=1)]
         values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
-        return Dashpots(Blocks(0, 0, nodes, nodes, values), c * start, owned)
+        return Dashpots(Blocks(0, 0, nodes, nodes, values), push, owned)
 
     @stages.commit
     def ends(self, operator: Operator, dt: float) -> list[NodalMotion]:
@@ -225,6 +236,8 @@ class GridMotion:
             )
             faces = self._sides.on(operator.here.fields[one.k].basis)
             stored[one.k] = add_work_of_nodes(work, one, motion, operator, share, expected, faces)
+            if faces is not None and faces.waves:
+                work.external += work_of_waves(faces.waves, self._times, one, motion, operator)
         # with a lumped mass, the mapping changes energy more than the rule does
         if operator.has("contact") and self.terms.kind == "consistent":
             contact = work_of_contact(operator, self.nodes)

@@ -143,6 +143,8 @@ def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> u
     space = field.space
     if factor is None:
         tied = field.constrains_nodes and field.stabilisation.kind != "weak-aggregation"
+        # cells beside tied sides look like cut cells, and are whole ones
+        tied = tied or hasattr(field.prolongate, "of_basis")
         factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
     if factor == 0:
         return None

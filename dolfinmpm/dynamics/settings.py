@@ -88,6 +88,11 @@ class Settings:
         )
 
     @property
+    def gives_back(self) -> bool:
+        """Whether points add the change of the nodes' velocities, and move by the sum ("musl")."""
+        return self.scheme == "musl" and self.mapping.kind == "flip" and self.mapping.share == 1.0
+
+    @property
     def plain(self) -> bool:
         """Whether neither bulk viscosity nor filters of light nodes act."""
         return not self.filters and self.viscosity == (0.0, 0.0)

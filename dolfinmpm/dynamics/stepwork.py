@@ -22,6 +22,7 @@ __all__ = [
     "mean_contact_forces",
     "work_of_contact",
     "work_of_loads",
+    "work_of_waves",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -139,3 +140,24 @@ def add_work_of_nodes(
         done = float(np.sum((faces.dashpots * mean * u)[owned]))
         losses["damping"] += mass.comm.allreduce(done, op=MPI.SUM)
     return stored
+
+
+def work_of_waves(
+    waves: Any,
+    times: tuple[float, float],
+    one: MovingNodes,
+    motion: NodalMotion,
+    operator: Operator,
+) -> float:
+    """Work of waves that come in through absorbing sides in a step (J). Collective.
+
+    Args:
+        waves: The waves, see `IncomingWaves`.
+        times: Start and end of the step (s).
+        one, motion: The nodes, and their motion.
+        operator: The step's equations, at their solution.
+    """
+    owned = operator.here.unknowns.fields[one.k].owned_nodes
+    mean = 0.5 * (waves.forces(times[0]) + waves.forces(times[1]))
+    assert motion.u is not None
+    return one.mass.comm.allreduce(float(np.sum((mean * motion.u)[owned])), op=MPI.SUM)

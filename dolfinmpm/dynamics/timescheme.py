@@ -217,7 +217,7 @@ class NewmarkScheme(TimedScheme):
         problem.bodies.begin(step.dt)
         here = problem.activate(step)
         self._load_at(problem, step, 0.0)
-        motion.to_grid(here, problem.form, step.dt, self._rates(problem, here, step))
+        motion.to_grid(here, problem.form, step.t, step.dt, self._rates(problem, here, step))
         self._load_at(problem, step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             bases = [field.basis for field in here.fields]

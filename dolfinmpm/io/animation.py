@@ -368,7 +368,7 @@ def _draw_solid(frame, values, label, limits, picture, look: _Look, extent, line
             [np.full(len(facets), 3), np.arange(3 * len(facets)).reshape(-1, 3)]
         )
         surface = pyvista.PolyData(facets.reshape(-1, 3), faces.ravel())
-        plotter.add_mesh(surface, color="0.5", opacity=0.4)
+        plotter.add_mesh(surface, color="grey", opacity=0.4)
     box = np.array(look.view, float) if not isinstance(look.view, str) else extent
     plotter.add_mesh(pyvista.Box(box.ravel()), style="wireframe", color="grey", line_width=1)
     plotter.add_text(look.title.format(time=frame.time), font_size=10, color="black")

@@ -20,6 +20,7 @@ from . import (
     published,
     restart,
     rings,
+    shaking,
     stabilisations,
     substructures,
     tables,
@@ -132,5 +133,6 @@ CASES = {
         substructures.factors_in_parts,
         substructures.steps_in_parts,
         substructures.rows_of_all_ranks,
+        shaking.shaking,
     )
 }

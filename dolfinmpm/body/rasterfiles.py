@@ -1,0 +1,116 @@
+"""Rasters of heights from files: ESRI ASCII grids, and all that rasterio reads, such as GeoTIFF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import file_path
+from dolfinmpm._platform.errors import MissingPackageError, ParameterError
+
+__all__ = ["Raster", "read_raster"]
+
+Array = npt.NDArray[np.float64]
+
+_TEXT = {".asc", ".txt", ".grd"}
+_REQUIRED = "ncols", "nrows", "cellsize"
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Heights at the centres of the cells of a raster.
+
+    Attributes:
+        x, y: Coordinates of the centres (m), shapes (nx,) and (ny,), increasing.
+        z: Heights (m), shape (nx, ny); nan where the raster has no data.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+
+
+def read_raster(path: Any) -> Raster:
+    """Read a raster. Every rank reads the file.
+
+    Args:
+        path: ESRI ASCII grid (.asc, .txt, .grd), or a file that rasterio reads.
+
+    Raises:
+        OSError: There is no such file, or it is broken.
+        ParameterError: The argument is no path, or the raster is turned.
+        MissingPackageError: The file is no ASCII grid, and rasterio is not installed.
+    """
+    file = file_path("raster", path)
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no file {file}")
+    return _ascii(file) if file.suffix.lower() in _TEXT else _by_rasterio(file)
+
+
+def _ascii(file: Path) -> Raster:
+    """Read an ESRI ASCII grid; rows go from north to south."""
+    words = file.read_text(encoding="utf-8", errors="replace").split()
+    header: dict[str, str] = {}
+    at = 0
+    while at + 1 < len(words) and words[at][0].isalpha():
+        header[words[at].lower()] = words[at + 1]
+        at += 2
+    missing = [name for name in _REQUIRED if name not in header]
+    corners = [name for axis in "xy" for name in (f"{axis}llcorner", f"{axis}llcenter")]
+    try:
+        if missing or sum(name in header for name in corners) != 2:
+            raise ValueError(f"its header has {', '.join(header) or 'no entries'}")
+        columns, rows = int(header["ncols"]), int(header["nrows"])
+        size = float(header["cellsize"])
+        low = []
+        for axis in "xy":
+            centred = f"{axis}llcenter" in header
+            given = float(header[f"{axis}llcenter" if centred else f"{axis}llcorner"])
+            low.append(given if centred else given + 0.5 * size)
+        values = np.array(words[at:], np.float64)
+        if size <= 0.0 or min(columns, rows) < 1 or values.size != columns * rows:
+            raise ValueError(f"it has {values.size} heights, not {columns} x {rows}")
+        none = float(header.get("nodata_value", -9999.0))
+    except ValueError as error:
+        raise OSError(
+            f"{file} is no ESRI ASCII grid: {error}; the header needs ncols, nrows, xllcorner, "
+            "yllcorner and cellsize, and one height per cell follows"
+        ) from error
+    values[values == none] = np.nan
+    z = values.reshape(rows, columns)[::-1].T
+    x, y = (at + size * np.arange(n) for at, n in zip(low, (columns, rows)))
+    return Raster(x, y, np.ascontiguousarray(z))
+
+
+def _by_rasterio(file: Path) -> Raster:
+    """Read the first band of a file of rasterio."""
+    try:
+        import rasterio
+    except ImportError:
+        raise MissingPackageError(
+            f"{file} needs rasterio: pip install rasterio; ESRI ASCII grids (.asc) need nothing, "
+            "and gdal_translate -of AAIGrid writes them"
+        ) from None
+    try:
+        with rasterio.open(file) as data:
+            band = data.read(1, masked=True).astype(np.float64).filled(np.nan)
+            to = data.transform
+    except rasterio.errors.RasterioError as error:
+        raise OSError(f"rasterio cannot read {file}: {error}") from error
+    if to.b != 0.0 or to.d != 0.0:
+        raise ParameterError(
+            f"the raster {file} is turned against north (terms {to.b:g} and {to.d:g} of its "
+            "transform must be 0): resample it with gdalwarp"
+        )
+    x = to.c + to.a * (np.arange(band.shape[1]) + 0.5)
+    y = to.f + to.e * (np.arange(band.shape[0]) + 0.5)
+    z = band.T
+    if to.a < 0.0:
+        x, z = x[::-1], z[::-1]
+    if to.e < 0.0:
+        y, z = y[::-1], z[:, ::-1]
+    return Raster(x.copy(), y.copy(), np.ascontiguousarray(z))

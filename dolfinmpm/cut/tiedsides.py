@@ -1,0 +1,153 @@
+"""Sides that move alike: a part of ground that repeats itself without end in one direction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.collective import collective
+from dolfinmpm._platform.errors import (
+    ParameterError,
+    UnsupportedGridError,
+    raise_together,
+)
+from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.space import Space
+from dolfinmpm.grid.lattice import require_lattice
+
+__all__ = ["TiedSides", "tied"]
+
+Array = npt.NDArray[np.float64]
+
+
+@collective
+def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
+    """Tied sides: nodes one period apart in one direction have the same motion. Collective.
+
+    The body is one period long, and the ground repeats itself without end. So both sides of the
+    body move alike, and their cut cells complete each other: the sides are no boundary, wherever
+    the body moves in the grid. This is the usual side condition of level ground in an earthquake
+    (Zienkiewicz, Bicanic & Shen 1989).
+
+    The grid must have at least one free cell beyond both sides of the body, on quadratic and cubic
+    splines two. All ranks know all nodes, which limits the size of such problems on many ranks.
+
+    Ghost penalties take the cells beside tied sides for cut cells, and would stiffen them. So the
+    ghost penalty of the mass is 0 by default here. Where the surface cuts cells, take a lumped
+    mass.
+
+    Args:
+        space: Space of the displacement, on a rectangular grid with equal cells along `axis`.
+        period: Length of the body along `axis` (m), a whole number of cells.
+        axis: Direction in which the ground repeats itself.
+
+    Returns:
+        The argument `prolongation` of a problem.
+
+    Raises:
+        ParameterError: The period is no whole number of cells, or the axis does not exist.
+        UnsupportedGridError: The grid is not rectangular, or the space is refined.
+
+    A column of one cell is level ground; its sides shear:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(4), range(6)])
+    >>> points = mpm.fill(grid, mpm.Box((1, 0), (2, 4)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> sides = mpm.tied(V, period=1.0)
+    >>> bcs = mpm.fixed(V, "bottom")
+    >>> problem = mpm.Newmark(F, V.increment, points, bcs, prolongation=sides, mass="lumped")
+    >>> points["velocity"] = (0.1, 0.0)
+    >>> record = problem.step(0.05)
+    >>> bool(abs(points["x"][:, 1] - points["x0"][:, 1]).max() < 1e-3)
+    True
+    """
+    check_kind("space", space, Space, "make it with mpm.Space(grid)")
+    require_lattice(space.grid, "tied")
+    if space.refinement is not None:
+        raise UnsupportedGridError(
+            "tied sides need cells of one size along them, and the space is refined: leave out "
+            "refine=, or give create_lattice smaller cells where they are wanted"
+        )
+    d = space.grid.geometry.dim
+    if isinstance(axis, bool) or axis not in range(d):
+        raise ParameterError(f"axis = {axis!r} must be one of {', '.join(map(str, range(d)))}")
+    basis = space.basis
+    assert isinstance(basis, LatticeBasis)
+    sizes = np.diff(basis.lattice.lines[axis])
+    h = float(sizes.mean())
+    if np.abs(sizes - h).max() > 1e-9 * h:
+        raise ParameterError(
+            f"tied sides need equal cells along the axis {axis}; they are {sizes.min():g} to "
+            f"{sizes.max():g} m long"
+        )
+    count = round(number("period", period, 0.0, unit="m") / h)
+    if count < 1 or abs(count * h - period) > 1e-9 * period:
+        raise ParameterError(
+            f"period = {period:g} m must be a whole number of cells of {h:g} m: take "
+            f"{max(count, 1) * h:g} m"
+        )
+    return TiedSides(axis, count, sizes.size)
+
+
+class TiedSides:
+    """Constraints between nodes one period apart, see `tied`.
+
+    Args:
+        axis: The direction.
+        count: Number of cells in a period.
+        cells: Number of cells of the grid along the axis.
+
+    Attributes:
+        layers: Layers of cells around a rank's own cells that the constraints need.
+    """
+
+    def __init__(self, axis: int, count: int, cells: int):
+        self._axis, self._count, self.layers = axis, count, cells
+
+    def __call__(self, stencils: Any, nodes: npt.NDArray[np.int32]) -> Any:
+        """Not in use: the constraints need the basis, see `of_basis`."""
+        raise ParameterError("tied sides are for the argument prolongation of a problem")
+
+    def of_basis(self, basis: LatticeBasis, nodes: npt.NDArray[np.int32]) -> Any:
+        """The matrix C, shape (nodes, nodes): each node follows the first active one of its class.
+
+        Collective.
+
+        Args:
+            basis: The basis, in which this rank knows all nodes along the axis.
+            nodes: Active nodes.
+
+        Raises:
+            ParameterError: The body has no free cell beside it.
+        """
+        from scipy import sparse
+
+        ijk = basis.halo.node_ijk[nodes].astype(np.int64)
+        along = ijk[:, self._axis]
+        last = basis.lattice.shape[self._axis] + basis.degree - 1
+        free = max(basis.degree - 1, 0)
+        error = None
+        if nodes.size and (along.min() <= free or along.max() >= last - free):
+            error = ParameterError(
+                "tied sides need a free cell beside the body: the body reaches an end of the grid "
+                f"along the axis {self._axis}; add cells there"
+            )
+        raise_together(basis.grid.comm, error)
+        others = np.delete(ijk, self._axis, axis=1)
+        key = np.column_stack([others, along % self._count])
+        _, group = np.unique(key, axis=0, return_inverse=True)
+        group = group.reshape(-1)
+        order = np.lexsort((along, group))
+        first = np.full(group.max(initial=-1) + 1, -1)
+        # written from the last to the first, the first active node of each class stays
+        first[group[order[::-1]]] = nodes[order[::-1]]
+        size = basis.nodes.size
+        master = np.arange(size)
+        master[nodes] = first[group]
+        return sparse.csr_matrix((np.ones(size), (np.arange(size), master)), shape=(size, size))

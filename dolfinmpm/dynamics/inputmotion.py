@@ -1,0 +1,186 @@
+"""Recorded motions of the ground: acceleration or velocity over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import coordinates, file_path, number, whole
+from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError, warn
+
+__all__ = ["InputMotion"]
+
+Array = npt.NDArray[np.float64]
+
+# Largest velocity that may be left after the record, as a share of its peak velocity
+_LEFT = 0.02
+
+
+class InputMotion:
+    """A recorded motion of the ground in one direction, for `absorbing(incoming=)` and `moving`.
+
+    Between its samples the given quantity is linear. The others follow by exact integration. Before
+    the record the ground is at rest. After the record its velocity stays, so that a record whose
+    last velocity is not 0 drifts for ever.
+
+    Args:
+        time: Times of the samples (s), shape (n,), increasing, from 0 or later.
+        acceleration: Accelerations (m/s²), shape (n,). The velocity begins with 0.
+        velocity: Velocities (m/s), shape (n,), instead of accelerations.
+
+    Attributes:
+        time: The argument.
+        drift: Velocity after the record (m/s).
+        left: Displacement at the end of the record (m).
+
+    Raises:
+        ParameterError: The times do not increase, samples are not finite, or not exactly one of
+            `acceleration` and `velocity` is given.
+
+    Warns:
+        DriftingRecordWarning: A record in use has more than 2 % of its peak velocity left after
+            its end.
+
+    A record of three samples:
+
+    >>> import dolfinmpm as mpm
+    >>> quake = mpm.InputMotion([0.0, 1.0, 2.0], velocity=[0.0, 0.5, 0.0])
+    >>> quake(0.5), quake.displacement(2.0), quake.acceleration(1.5), quake.drift
+    (0.25, 0.5, -0.5, 0.0)
+    """
+
+    def __init__(self, time: Any, *, acceleration: Any = None, velocity: Any = None):
+        from scipy.interpolate import PPoly
+
+        if (acceleration is None) == (velocity is None):
+            raise ParameterError(
+                "a record needs either acceleration= (m/s²) or velocity= (m/s), one of both"
+            )
+        name = "velocity" if acceleration is None else "acceleration"
+        t, values = coordinates("time", time), coordinates(name, velocity)
+        if acceleration is not None:
+            values = coordinates(name, acceleration)
+        if t.ndim != 1 or t.size < 2 or values.shape != t.shape:
+            raise ParameterError(
+                f"time has the shape {t.shape} and {name} {values.shape}: give two arrays of one "
+                "length of at least 2"
+            )
+        if not np.isfinite(values).all() or not np.isfinite(t).all():
+            bad = int(np.flatnonzero(~(np.isfinite(values) & np.isfinite(t)))[0])
+            raise ParameterError(f"sample {bad} of the record must be finite: fill gaps in first")
+        if t[0] < 0.0 or not np.all(np.diff(t) > 0.0):
+            raise ParameterError("the times of a record must begin at 0 or later, and increase")
+        self.time, self._kind = t, name
+        given = PPoly(np.array([np.diff(values) / np.diff(t), values[:-1]]), t)
+        self._velocity = given if acceleration is None else given.antiderivative()
+        self._displacement = self._velocity.antiderivative()
+        self._acceleration = self._velocity.derivative()
+        self.drift = float(self._velocity(t[-1]))
+        self.left = float(self._displacement(t[-1]))
+        self._told = False
+
+    def _check(self) -> None:
+        """Warn once about a record that goes on after its end."""
+        from mpi4py import MPI
+
+        self._told = True
+        peak = float(np.abs(self._velocity(self.time)).max())
+        if abs(self.drift) > _LEFT * peak:
+            warn(
+                MPI.COMM_WORLD,
+                f"the record ends with the velocity {self.drift:.3g} m/s, and its peak is "
+                f"{peak:.3g} m/s: the ground goes on for ever; take record.corrected(), which "
+                "removes a line from the acceleration",
+                DriftingRecordWarning,
+            )
+
+    @classmethod
+    def from_csv(
+        cls, path: Any, *, kind: str = "acceleration", factor: float = 1.0, skip: int = 0
+    ) -> InputMotion:
+        """A record from a table of two columns, times (s) and values.
+
+        Args:
+            path: A text file; columns are divided by commas, semicolons or spaces.
+            kind: "acceleration" or "velocity".
+            factor: Factor of the values, such as 9.81 for accelerations in g.
+            skip: Number of lines before the table.
+
+        Raises:
+            OSError: The file is missing, or has no two columns of numbers.
+            ParameterError: An argument is out of range.
+        """
+        file = file_path("record", path)
+        number("factor", factor), whole("skip", skip, 0)
+        if kind not in ("acceleration", "velocity"):
+            raise ParameterError(f'kind = {kind!r} must be "acceleration" or "velocity"')
+        lines = file.read_text(encoding="utf-8").splitlines()[skip:]
+        rows = [line.replace(",", " ").replace(";", " ").split() for line in lines if line.strip()]
+        try:
+            table = np.array([[float(word) for word in row[:2]] for row in rows])
+            if table.ndim != 2 or table.shape[1] != 2:
+                raise ValueError("two columns are needed")
+        except ValueError as error:
+            raise OSError(
+                f"{file} is no table of times and values: {error}; skip= leaves out lines "
+                "at its top"
+            ) from error
+        if kind == "acceleration":
+            return cls(table[:, 0], acceleration=factor * table[:, 1])
+        return cls(table[:, 0], velocity=factor * table[:, 1])
+
+    def __call__(self, t: float) -> float:
+        """Velocity at time t (m/s)."""
+        # a record may be corrected before it is used
+        if not self._told:
+            self._check()
+        if t < self.time[0]:
+            return 0.0
+        return float(self._velocity(min(t, self.time[-1])))
+
+    def acceleration(self, t: float) -> float:
+        """Acceleration at time t (m/s²); 0 before and after the record."""
+        if not self.time[0] <= t <= self.time[-1]:
+            return 0.0
+        return float(self._acceleration(t))
+
+    def displacement(self, t: float) -> float:
+        """Displacement at time t (m)."""
+        if t < self.time[0]:
+            return 0.0
+        end = float(self.time[-1])
+        return float(self._displacement(min(t, end))) + self.drift * max(t - end, 0.0)
+
+    def scaled(self, factor: float) -> InputMotion:
+        """The record times a factor: 0.5 makes the upward wave of a record at an outcrop."""
+        return self._changed(factor * self._samples())
+
+    def corrected(self) -> InputMotion:
+        """The record after a correction of its baseline: velocity and displacement end with 0.
+
+        A parabola that is 0 at the start is subtracted from the velocity, which is a line in the
+        acceleration. Its two coefficients follow from both conditions at the end.
+        """
+        t = self.time - self.time[0]
+        T = float(t[-1])
+        # velocity b t + c t², of which velocity and displacement at T are those of the record
+        matrix = np.array([[T, T**2], [T**2 / 2, T**3 / 3]])
+        b, c = np.linalg.solve(matrix, [self.drift, self.left])
+        if self._kind == "acceleration":
+            return self._changed(self._samples() - (b + 2 * c * t))
+        less = b * t + c * t**2
+        # lines between the samples are a little off the parabola
+        missing = np.sum(0.5 * np.diff(t) * (less[1:] + less[:-1])) - self.left
+        bump = t * (T - t)
+        bump *= missing / np.sum(0.5 * np.diff(t) * (bump[1:] + bump[:-1])) if T else 0.0
+        return self._changed(self._samples() - less + bump)
+
+    def _samples(self) -> Array:
+        """Values of the given quantity at the samples."""
+        kept = self._velocity if self._kind == "velocity" else self._acceleration
+        return np.asarray(kept(self.time), np.float64)
+
+    def _changed(self, values: Array) -> InputMotion:
+        return InputMotion(self.time, **{self._kind: values})

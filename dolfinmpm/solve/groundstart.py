@@ -1,0 +1,85 @@
+"""The start of the ground: stress by K0, layers and water table, then balance with the loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.argumentchecks import check_kind
+from dolfinmpm._platform.collective import collective
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.kinematics.deposits import Deposit
+from dolfinmpm.kinematics.lawterms import set_stress
+from dolfinmpm.solve.initialbalance import equilibrate
+from dolfinmpm.solve.quasistatic import QuasiStatic
+
+__all__ = ["start_at_rest"]
+
+Array = npt.NDArray[np.float64]
+
+
+@collective
+def start_at_rest(
+    problem: QuasiStatic, ground: Deposit, *, tolerance: float = 1e-9, most: int = 20
+) -> int:
+    """Give the points the stress of layered ground, and balance it with the loads. Collective.
+
+    Each law of the problem gets the stress of the ground at its points, see `set_stress`: vertical
+    stress by the effective weight above, horizontal stress by K0, and pore pressure apart. Then
+    `equilibrate` brings this stress into balance with the loads of the problem, without moving the
+    points. Level ground is in balance at once. Below a slope, K0 is only a first guess.
+
+    The law takes the stress only within its yield surface. In soil without cohesion a K0 of
+    1 − sin φ is within it.
+
+    Args:
+        problem: A quasi-static problem with undeformed points, and its weight as a load.
+        ground: The layers; its surface may be a `Terrain`.
+        tolerance, most: See `equilibrate`.
+
+    Returns:
+        The number of steps.
+
+    Raises:
+        ParameterError: The problem has no law, is not quasi-static, or its points are deformed.
+        StateError: A stress lies outside the yield surface of its law.
+        ConvergenceError: The force is not in balance after `most` steps, or a step failed.
+
+    A hillside at rest in one call:
+
+    >>> import dolfinmpm as mpm
+    >>> import ufl
+    >>> from mpi4py import MPI
+    >>> hill = mpm.Terrain(([0, 8],), [3.0, 2.0])
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(9), range(5)])
+    >>> points = mpm.fill(grid, hill.ground(0.0), per_cell=2, density=1800.0, exact=True)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> soil = mpm.materials.Hencky(E=20e6, nu=0.3)
+    >>> F = mpm.momentum(soil, points, V.increment, V.test)
+    >>> F -= ufl.inner(points.density * ufl.as_vector((0.0, -9.81)), V.test) * points.dX
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="aggregation")
+    >>> ground = mpm.Deposit(hill, mpm.Layer(0.0, unit_weight=1800 * 9.81, K0=0.5))
+    >>> steps = mpm.start_at_rest(problem, ground)
+    >>> bool((points["x"] == points["x0"]).all()), bool(points["stress"][:, 1, 1].max() < 0)
+    (True, True)
+    """
+    check_kind("problem", problem, QuasiStatic, "give an mpm.QuasiStatic")
+    check_kind("ground", ground, Deposit, "make it with mpm.Deposit(surface, layers)")
+    points = problem.points
+    declarations = problem.form.parts.declarations
+    if not declarations:
+        raise ParameterError("the problem has no law that could take a stress: add mpm.momentum")
+    F = points["F"]
+    moved = float(np.abs(F - np.eye(F.shape[1])).max(initial=0.0))
+    if points.comm.allreduce(moved, op=MPI.MAX) > 0.0:
+        raise ParameterError("the points have been deformed: start before the first step")
+    stress: Callable[[Any], Array] = ground.stress
+    for one in declarations:
+        tags = None if one.tags is None else tuple(one.tags)
+        set_stress(one.law, points, stress, strain=one.strain, tag=tags)
+    return equilibrate(problem, tolerance=tolerance, most=most)

@@ -1,0 +1,39 @@
+"""The studies of ground at small sizes: site response, a slope in an earthquake, a debris flow."""
+
+from __future__ import annotations
+
+import pytest
+from conftest import figures_of
+
+
+def figures(tmp_path, study, *options, ranks=1):
+    where = "--output", str(tmp_path), "--json", "-"
+    found = figures_of(f"demos/studies/{study}.py", *options, *where, ranks=ranks)
+    assert (tmp_path / f"{study}.png").stat().st_size > 0
+    return found
+
+
+@pytest.mark.parametrize(
+    "integrator", ["newmark", pytest.param("explicit", marks=pytest.mark.long)]
+)
+def test_a_layer_amplifies_waves_up_to_the_limit_of_the_grid(tmp_path, integrator):
+    size = "--height", "5", "--duration", "1", "--integrator", integrator
+    found = figures(tmp_path, "site_response", *size, "--courant", "0.2")
+    assert found["errors"]["10"] < 0.02
+    assert abs(found["missing_energy"]) < (1e-8 if integrator == "newmark" else 1e-3)
+
+
+def test_a_slope_slips_like_the_sliding_block(tmp_path):
+    size = "--depth", "4", "--duration", "2.5", "--h", "0.5", "--dt", "0.005"
+    found = figures(tmp_path, "sliding_slope", *size)
+    assert found["block"] > 0.01
+    assert abs(found["error"]) < 0.05
+
+
+@pytest.mark.parametrize("ranks", [2, pytest.param(1, marks=pytest.mark.long)])
+def test_a_debris_flow_keeps_volume_and_momentum(tmp_path, ranks):
+    found = figures(tmp_path, "debris_flow", "--h", "5", "--duration", "2", ranks=ranks)
+    assert abs(found["volume_error"]) < 1e-12
+    assert found["momentum_error"] < 0.01
+    # it slides down, by less than without friction
+    assert 46.0 < found["front"] < 62.0

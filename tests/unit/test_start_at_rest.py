@@ -1,0 +1,88 @@
+"""Ground at rest in one call: stress by K0, layers and water, in balance with the weight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import ParameterError
+
+G = 9.81
+
+
+def hillside(surface):
+    """Ground below a surface on 8 m, 1800 kg/m³, between rollers, and its problem."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 8, 17), np.linspace(0, 5, 11)])
+    points = mpm.fill(grid, surface.ground(0.0), per_cell=2, density=1800.0, exact=True)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    soil = mpm.materials.MohrCoulomb(20e6, 0.3, cohesion=20e3, friction_angle=35.0)
+    F = mpm.momentum(soil, points, u, v)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -G)), v) * points.dX
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    return points, mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
+
+
+def deposit(surface):
+    layers = [mpm.Layer(2.0, 1800 * G, K0=0.5), mpm.Layer(0.0, 1800 * G, K0=0.7)]
+    return mpm.Deposit(surface, layers)
+
+
+def test_level_layers_are_in_balance_at_once():
+    flat = mpm.Terrain(([0, 8],), [4.0, 4.0])
+    points, problem = hillside(flat)
+    assert mpm.start_at_rest(problem, deposit(flat)) == 0
+    stress, y = points["stress"], points["x"][:, 1]
+    vertical = -1800 * G * (4.0 - y)
+    assert stress[:, 1, 1] == pytest.approx(vertical, rel=1e-9)
+    K0 = np.where(y > 2.0, 0.5, 0.7)
+    assert stress[:, 0, 0] == pytest.approx(K0 * vertical, rel=1e-6)
+    assert np.array_equal(points["x"], points["x0"])
+
+
+def test_a_hillside_is_in_balance_and_stays():
+    hill = mpm.Terrain(([0, 3, 5, 8],), [4.0, 4.0, 2.5, 2.5])
+    points, problem = hillside(hill)
+    steps = mpm.start_at_rest(problem, deposit(hill))
+    assert steps > 1
+    assert np.array_equal(points["x"], points["x0"])
+    # whole weight of the body on the bottom: the mean vertical stress of a level cut
+    low = points["x"][:, 1] < 0.5
+    carried = (points["stress"][:, 1, 1] * points["V"])[low].sum() / 0.5
+    above = (points["V"] * (points["x"][:, 1] > 0.5)).sum() + 0.5 * points["V"][low].sum()
+    assert carried == pytest.approx(-1800 * G * above, rel=2e-2)
+    problem.step()
+    moved = np.abs(points["x"] - points["x0"]).max()
+    assert moved < 1e-9
+
+
+def test_two_laws_get_their_own_layers():
+    flat = mpm.Terrain(([0, 8],), [4.0, 4.0])
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 8, 9), np.linspace(0, 5, 6)])
+    points = mpm.fill(grid, mpm.Box((0, 2), (8, 4)), 2, 1800.0)
+    points += mpm.fill(grid, mpm.Box((0, 0), (8, 2)), 2, 1800.0, tag=1)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(5e6, 0.2), points, u, v, tag=0)
+    F += mpm.momentum(mpm.materials.Hencky(50e6, 0.3), points, u, v, tag=1)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -G)), v) * points.dX
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
+    assert mpm.start_at_rest(problem, deposit(flat)) == 0
+    ratio = points["stress"][:, 0, 0] / points["stress"][:, 1, 1]
+    assert ratio == pytest.approx(np.where(points["tag"] == 1, 0.7, 0.5), rel=1e-6)
+
+
+def test_what_cannot_start_at_rest():
+    flat = mpm.Terrain(([0, 8],), [4.0, 4.0])
+    _, problem = hillside(flat)
+    with pytest.raises(ParameterError, match=r"ground = 1.0 must be .*mpm.Deposit"):
+        mpm.start_at_rest(problem, 1.0)
+    with pytest.raises(ParameterError, match="QuasiStatic"):
+        mpm.start_at_rest(None, deposit(flat))
+    problem.step()
+    with pytest.raises(ParameterError, match="deformed: start before the first step"):
+        mpm.start_at_rest(problem, deposit(flat))
