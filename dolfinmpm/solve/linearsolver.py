@@ -67,6 +67,13 @@ class LinearSolver:
         self._former: float | None = None
         self.snes: Any = None
 
+    def twin(self) -> LinearSolver:
+        """A solver with the same choices so far, and with a matrix and factors of its own."""
+        tangent = self.choice.tangent
+        other = LinearSolver(self._comm, self._gdim, tangent, self._options)
+        other._checked = self._checked
+        return other
+
     def in_blocks(self, count: int) -> bool:
         """Whether the method for a number of unknowns needs the unknowns of a node in a block."""
         pc = self._options.get("pc_type")

@@ -8,18 +8,22 @@ from dolfinmpm.io.studyplots import (
 from dolfinmpm.io.tables import read_table, write_table
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.condition import Conditioning, conditioning
+from dolfinmpm.study.derivatives import Derivatives, Run, differentiate
 from dolfinmpm.study.reduction import factor_of_safety, reduced_strength
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 from dolfinmpm.study.trial import FactorOfSafety, Trial
 
 __all__ = [
     "Conditioning",
+    "Derivatives",
     "FactorOfSafety",
+    "Run",
     "Trial",
     "condition_number",
     "conditioning",
     "convergence",
     "critical_step",
+    "differentiate",
     "draw_convergence",
     "draw_reduction",
     "draw_sweep",
