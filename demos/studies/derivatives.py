@@ -1,0 +1,134 @@
+# %% [markdown]
+# # Derivatives of a run, beside differences of whole runs
+#
+# `study.differentiate` runs an example at its parameters, and at $m \pm \varepsilon\,\Delta m$
+# beside it. The runs beside it solve their equations once per substep with the tangent of the run
+# between them: $u' = u - K^{-1}\,[R(u; s', m') - R(u; s, m)]$. The difference of the two is the
+# derivative. No derivative of a law, of a term or of a basis function is written anywhere.
+#
+# Here each example also runs as a whole at $m \pm h\,\Delta m$ and $m \pm 2h\,\Delta m$, to
+# tight tolerances. Richardson's rule for these four, $(4 D_h - D_{2h})/3$, is what the
+# derivatives are compared with. An error is relative to the largest derivative of a figure by any
+# parameter of the example, over all steps.
+#
+# `--time` measures what derivatives cost: a Mohr–Coulomb footing of 10 000 points with none, one
+# and several parameters, in turn.
+
+# %%
+from __future__ import annotations
+
+import statistics
+import time
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from derivative_scenes import CASES, SAND, SIZES, footing
+from options import Options, natural, option, positive
+from scene import finish, say
+
+from dolfinmpm import study
+
+
+# %%
+@dataclass
+class Input(Options):
+    """Derivatives of runs, and what they cost."""
+
+    cases: str = option("", "names of examples, with semicolons between; by default all")
+    difference: float = positive(1e-4, "h of the differences of whole runs")
+    epsilon: float = positive(1e-6, "perturbation of the runs that follow")
+    time: bool = option(False, "measure times instead")
+    cells: int = natural(70, "cells along the footing's layer, for --time")
+    steps: int = natural(20, "steps of the footing, for --time")
+    further: int = natural(5, "further parameters, for --time")
+    repeat: int = natural(3, "runs of each kind, for --time")
+
+
+args = Input.parse()
+
+
+# %%
+def history_of(scene, parameters):
+    """Figures of a whole run after each step, by name."""
+    run = scene(parameters)
+    found = {name: [] for name in run.measured}
+    for step in run.steps:
+        step()
+        for name, get in run.measured.items():
+            found[name].append(np.array(get(), float))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def by_whole_runs(scene, parameters, name, size):
+    """Derivatives of the figures by differences of whole runs, and how far they are exact."""
+    h, found = args.difference, []
+    for step in (h, 2 * h):
+        up, down = (
+            history_of(scene, {**parameters, name: parameters[name] + sign * step * size})
+            for sign in (1, -1)
+        )
+        found.append({k: (up[k] - down[k]) / (2 * step) for k in up})
+    fine, coarse = found
+    return {k: (4 * fine[k] - coarse[k]) / 3 for k in fine}
+
+
+def compare(name):
+    """One row of the table: an example, and the largest error per parameter."""
+    scene, parameters = CASES[name]
+    # lengths of the body itself by their logarithm, distances to it by their size
+    sizes = {k: v for k, v in SIZES.items() if k in parameters and scene is not CASES["elastic"][0]}
+    found = study.differentiate(scene, parameters, scales=sizes, epsilon=args.epsilon)
+    derivatives = found.derivatives
+    largest = {k: max(np.abs(d).max() for d in by.values()) for k, by in derivatives.items()}
+    errors = {}
+    for m in parameters:
+        whole = by_whole_runs(scene, parameters, m, found.scales[m])
+        errors[m] = max(
+            float(np.abs(whole[k] - by[m]).max() / largest[k]) for k, by in derivatives.items()
+        )
+    return {"case": name, "error": max(errors.values()), "errors": errors, "notes": found.notes}
+
+
+# %%
+def seconds_of(call):
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def costs():
+    """Time of runs with parameters over the time of a run without, as medians."""
+    scene = partial(footing, cells=args.cells, steps=args.steps, tolerance=1e-9)
+    names = ["E", "angle", "cohesion", "pressure", "K0", "nu"]
+
+    def run(count):
+        if count == 0:
+            return lambda: history_of(scene, SAND)
+        # parameters may repeat, for their time only
+        chosen = {f"{names[k % 6]}": SAND[names[k % 6]] for k in range(min(count, 6))}
+        rest = {k: v for k, v in SAND.items() if k not in chosen}
+        return lambda: study.differentiate(lambda m: scene({**rest, **m}), chosen)
+
+    few, many = run(1), run(1 + args.further)
+    for call in (run(0), few):
+        # compilations
+        call()
+    rows = [[seconds_of(call) for call in (run(0), few, many)] for _ in range(args.repeat)]
+    first = statistics.median((one - none) / none for none, one, _ in rows)
+    further = statistics.median((all_ - one) / args.further / none for none, one, all_ in rows)
+    return {"seconds": rows, "first": first, "further": further}
+
+
+# %%
+if args.time:
+    figures = costs()
+    say(f"first parameter {figures['first']:.0%} of a run, each further {figures['further']:.0%}")
+else:
+    chosen = args.cases.split(";") if args.cases else list(CASES)
+    rows = [compare(name) for name in chosen]
+    for row in rows:
+        each = ", ".join(f"{m} {error:.0e}" for m, error in row["errors"].items())
+        say(f"{row['case']:28s} {row['error']:.1e}   {each} {' '.join(row['notes'])}")
+    figures = {"rows": rows}
+finish(args, figures)
