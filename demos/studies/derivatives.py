@@ -37,15 +37,17 @@ class Input(Options):
 
     cases: str = option("", "names of examples, with semicolons between; by default all")
     difference: float = positive(1e-4, "h of the differences of whole runs")
-    epsilon: float = positive(1e-6, "perturbation of the runs that follow")
+    epsilon: float | None = positive(None, "perturbation of the runs that follow")
+    one_sided: bool = option(False, "one run per parameter, in half the time")
     time: bool = option(False, "measure times instead")
     cells: int = natural(70, "cells along the footing's layer, for --time")
     steps: int = natural(20, "steps of the footing, for --time")
-    further: int = natural(5, "further parameters, for --time")
+    further: int = option(5, "further parameters, for --time", least=1, most=5)
     repeat: int = natural(3, "runs of each kind, for --time")
 
 
 args = Input.parse()
+HOW = {"central": not args.one_sided, "epsilon": args.epsilon}
 
 
 # %%
@@ -78,7 +80,7 @@ def compare(name):
     scene, parameters = CASES[name]
     # lengths of the body itself by their logarithm, distances to it by their size
     sizes = {k: v for k, v in SIZES.items() if k in parameters and scene is not CASES["elastic"][0]}
-    found = study.differentiate(scene, parameters, scales=sizes, epsilon=args.epsilon)
+    found = study.differentiate(scene, parameters, scales=sizes, **HOW)
     derivatives = found.derivatives
     largest = {k: max(np.abs(d).max() for d in by.values()) for k, by in derivatives.items()}
     errors = {}
@@ -100,15 +102,16 @@ def seconds_of(call):
 def costs():
     """Time of runs with parameters over the time of a run without, as medians."""
     scene = partial(footing, cells=args.cells, steps=args.steps, tolerance=1e-9)
+    # three quarters of the bearing capacity
+    sand = SAND | {"pressure": 150e3}
     names = ["E", "angle", "cohesion", "pressure", "K0", "nu"]
 
     def run(count):
         if count == 0:
-            return lambda: history_of(scene, SAND)
-        # parameters may repeat, for their time only
-        chosen = {f"{names[k % 6]}": SAND[names[k % 6]] for k in range(min(count, 6))}
-        rest = {k: v for k, v in SAND.items() if k not in chosen}
-        return lambda: study.differentiate(lambda m: scene({**rest, **m}), chosen)
+            return lambda: history_of(scene, sand)
+        chosen = {k: sand[k] for k in names[:count]}
+        rest = {k: v for k, v in sand.items() if k not in chosen}
+        return lambda: study.differentiate(lambda m: scene({**rest, **m}), chosen, **HOW)
 
     few, many = run(1), run(1 + args.further)
     for call in (run(0), few):

@@ -161,10 +161,6 @@ class Newton:
         limits = self.tolerance, self.max_iterations
         return Newton(self._comm, self._gdim, tangent, self._options, *limits)
 
-    def twin(self) -> LinearSolver:
-        """A linear solver for the same tangents, with a matrix and factors of its own."""
-        return self.linear.twin()
-
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments; see `Solver`. Collective."""
         outcome = Outcome()

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_function, check_kind, number, shown
+from dolfinmpm._platform.argumentchecks import check_function, check_kind, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -23,9 +23,9 @@ __all__ = ["Derivatives", "Run", "differentiate"]
 Array = npt.NDArray[np.float64]
 Scene = Callable[[dict[str, float]], "Run"]
 
-# Perturbation of a parameter, as a share of its size. Rounding of the differences is 1e-16 over it,
-# and the third derivative counts with its square.
-PERTURBATION = 1e-6
+# Perturbation of a parameter as a share of its size, in central and in one-sided differences. Their
+# rounding is 1e-16 over it. The third derivative counts with its square, the second with itself.
+CENTRAL, ONE_SIDED = 1e-6, 3e-8
 
 
 @dataclass
@@ -153,26 +153,29 @@ class _Member:
 
 
 class _Pair:
-    """Two runs at m ± ε Δm that follow the run at m.
+    """Two runs at m ± ε Δm that follow the run at m, or one of them.
 
     Args:
         scene, parameters: The example, and its parameters.
         name: The parameter.
         scale: Its size Δm.
         epsilon: The perturbation ε.
+        signs: Signs of the perturbations.
         tape: Solutions of the run at m.
     """
 
     def __init__(
         self, scene: Scene, parameters: Mapping[str, float], name: str, scale: float,
-        epsilon: float, tape: Tape,
+        epsilon: float, signs: Sequence[int], tape: Tape,
     ):  # fmt: skip
         started = time.perf_counter()
         self.name, self.epsilon = name, epsilon
-        m, self.members, self.readers = parameters[name], [], []
-        for sign in (1, -1):
+        m = parameters[name]
+        self.members: list[_Member] = []
+        self.readers: list[Reader] = []
+        for sign in signs:
             member = _Member(scene, {**parameters, name: m + sign * epsilon * scale})
-            reader = Reader(tape)
+            reader = Reader(tape, *self.readers)
             for problem in member.problems:
                 if isinstance(problem, QuasiStatic):
                     follow(problem, reader)
@@ -213,14 +216,17 @@ class _Pair:
 
     def _differences(self, base: _Member, leaves: Sequence[Sequence[str]]) -> dict[str, Array]:
         """Differences of the figures over ε, one-sided where one run has left. Collective."""
-        plus, minus = (member.measure() for member in self.members)
-        left = [bool(reasons) for reasons in leaves]
         for reason in {reason for reasons in leaves for reason in reasons}:
             self.notes.setdefault(reason, []).append(base.taken)
+        plus, *others = (member.measure() for member in self.members)
+        middle = base.measure()
+        if not others:
+            return {k: np.asarray((plus[k] - middle[k]) / self.epsilon) for k in plus}
+        minus, left = others[0], [bool(reasons) for reasons in leaves]
         if left[0] == left[1]:
             return {k: np.asarray((plus[k] - minus[k]) / (2 * self.epsilon)) for k in plus}
         good, bad = (self.members[k].problems for k in (left.index(False), left.index(True)))
-        middle, sign = base.measure(), -1.0 if left[0] else 1.0
+        sign = -1.0 if left[0] else 1.0
         side = minus if left[0] else plus
         if not mirror(base.problems, good, bad):
             self.notes.setdefault("points are on other ranks", []).append(base.taken)
@@ -232,14 +238,15 @@ def differentiate(
     parameters: Mapping[str, float],
     *,
     scales: Mapping[str, float] | None = None,
-    epsilon: float = PERTURBATION,
+    central: bool = True,
+    epsilon: float | None = None,
 ) -> Derivatives:
     """Figures of a run and their derivatives by its parameters, in one run. Collective.
 
     The function `scene` builds the example at given parameters. Parameters may be numbers of laws,
     densities, loads, permeabilities, friction, penalties, initial stresses, motions of rigid
     bodies, and lengths of the body: all that the function takes from its argument. It is called
-    once at the parameters, and at m ± ε Δm per parameter. The perturbed runs follow the run step
+    once at the parameters, and once or twice per parameter. The perturbed runs follow the run step
     by step: each solves its equations once per substep with the tangent of the run, see
     `dolfinmpm.study.tape`. Their difference is the derivative; no derivative of a law or a term
     is needed.
@@ -250,7 +257,10 @@ def differentiate(
         scales: Name → size Δm of a parameter, in its unit. The derivative is then Δm ∂/∂m. Without
             a size, Δm is the value itself, so that derivatives are by ln m. A parameter whose value
             is zero needs a size.
-        epsilon: Perturbation of a parameter, as a share of Δm.
+        central: Whether two runs per parameter, at m ± ε Δm, give the derivative. One run, at
+            m + ε Δm, takes half the time, and some digits are lost.
+        epsilon: Perturbation of a parameter, as a share of Δm: by default 1e-6, and 3e-8 for one
+            run per parameter.
 
     Returns:
         Figures and derivatives after each step.
@@ -290,13 +300,16 @@ def differentiate(
     """
     check_function("scene", scene, "of a dictionary of parameters")
     sizes = _sizes(parameters, {} if scales is None else scales)
+    truth("central", central)
+    epsilon = (CENTRAL if central else ONE_SIDED) if epsilon is None else epsilon
     number("epsilon", epsilon, 0.0, 0.1)
     started = time.perf_counter()
     tape, base = Tape(), _Member(scene, parameters)
     for problem in base.problems:
         if isinstance(problem, QuasiStatic):
             record(problem, tape)
-    pairs = [_Pair(scene, parameters, k, sizes[k], epsilon, tape) for k in parameters]
+    signs = (1, -1) if central else (1,)
+    pairs = [_Pair(scene, parameters, k, sizes[k], epsilon, signs, tape) for k in parameters]
     figures: dict[str, list[Array]] = {k: [] for k in base.run.measured}
     derivatives: dict[str, dict[str, list[Array]]] = {k: {m: [] for m in sizes} for k in figures}
     while True:

@@ -93,10 +93,12 @@ class Tape:
 
     Attributes:
         stages: The solutions.
+        readers: Number of runs that follow.
     """
 
     def __init__(self) -> None:
         self.stages: list[Stage] = []
+        self.readers = 0
         self._solvers: list[LinearSolver] = []
 
     def clear(self) -> None:
@@ -121,7 +123,7 @@ class Tape:
         if outcome.reason is not None or unknowns.total == 0:
             return
         if at == len(self._solvers):
-            self._solvers.append(newton.twin())
+            self._solvers.append(newton.linear.twin(self.readers))
         stage.force = unknowns.restrict(operator.forces())
         stage.linear = self._solvers[at]
         stage.linear.attach(operator)
@@ -142,18 +144,37 @@ class Reader:
 
     Args:
         tape: The tape.
+        opposite: Reader of the run with the opposite perturbation, which reads first, or None.
 
     Attributes:
         off: Reasons why the reader does not take the same way as the tape.
     """
 
-    def __init__(self, tape: Tape):
-        self.tape, self._at = tape, 0
+    def __init__(self, tape: Tape, opposite: Reader | None = None):
+        self.tape, self._opposite, self._at = tape, opposite, 0
+        tape.readers += 1
         self.off: list[str] = []
+        # number of the solution → how the unknowns change
+        self._changes: dict[int, Array] = {}
 
     def begin(self) -> None:
         """Begin at the start of the tape."""
         self._at, self.off = 0, []
+        self._changes.clear()
+
+    def change(self, stage: Stage, force: Array) -> Array:
+        """Change of the unknowns by a change of the out-of-balance force. Collective.
+
+        Args:
+            stage: The last solution.
+            force: The out-of-balance force (N), shape (owned,).
+        """
+        assert stage.linear is not None
+        known = None if self._opposite is None else self._opposite._changes.get(self._at)
+        guess = None if known is None else -known
+        found = stage.linear.solve(stage.force - force, guess)
+        self._changes[self._at] = found
+        return found
 
     def next(self, operator: Operator) -> Stage | None:
         """The next solution, or None if the equations have other unknowns. Collective."""
@@ -221,7 +242,7 @@ class FollowingNewton(Newton):
             return Outcome(known.reason, np.zeros(operator.here.unknowns.owned), known.iterations)
         x = known.x.copy()
         if stage.linear is not None:
-            x += stage.linear.solve(stage.force - operator.residual(x).values)
+            x += self.reader.change(stage, operator.residual(x).values)
         operator.move(x)
         operator.update_contact()
         self.reader.compare(stage, operator)
@@ -263,7 +284,7 @@ class FollowingBordered(Bordered):
             border.predict(self.newton, operator)
         border.move(at.value - border.value)
         operator.update_external()
-        b = stage.linear.solve(stage.force - operator.residual(known.x).values)
+        b = self.reader.change(stage, operator.residual(known.x).values)
         change = at.change(border.gap(known.x)[0], b, operator.here.unknowns.comm)
         x = known.x + b + at.columns @ change
         border.move(change)
