@@ -64,6 +64,7 @@ stability_atlas --first 40 --stabilisation ghost,aggregation --strict
 column_collapse --h 0.02 --duration 0.1 --times 0.05
 slope_runout --h 1 --duration 1 --dt 0.05
 explicit_speed --points 4000 --repeat 1 --bases bspline2,gimp
+umat_speed --points 4000 --repeat 1
 explicit_stability --methods "GIMP, musl;GIMP, consistent + ghost" --cells 1 --places 3 --long 100
 """
 

@@ -39,6 +39,12 @@ def _atlas(answer: Answer) -> list[float]:
     return [*shares, answer["problems"], answer["wrong"]]
 
 
+def _atlas_bases(answer: Answer) -> list[float]:
+    """Finished random problems (%) with ghost penalty in each basis; number of problems."""
+    bases = "linear", "gimp", "bspline2", "bspline3"
+    return [*(100 * answer["success_with_ghost"][name] for name in bases), answer["problems"]]
+
+
 ROWS = (
     Row("cavity", RINGS, "cavity expansion, Hencky, ν = 0.3, b/a = 2: error of the pressure at "
         "r(a)/a = 1.5, cylinder and sphere (%)",
@@ -59,6 +65,10 @@ ROWS = (
         "stabilisation (%); number of problems; wrong results without an error",
         ("mpirun -n 2 python3 demos/studies/stability_atlas.py --start 100 --seeds 14",), _atlas,
         "{:.1f}, {:.1f}, {:.1f}; {:.0f}; {:.0f}", picture="stability_atlas.png"),
+    Row("atlas-bases", STEEL, "the same problems from other seeds with ghost penalty: finished "
+        "runs with linear functions, GIMP, quadratic, cubic splines (%); number of problems",
+        ("mpirun -n 2 python3 demos/studies/stability_atlas.py --stabilisation ghost --start 900 "
+         "--seeds 14 --compare 0",), _atlas_bases, "{:.1f}, {:.1f}, {:.1f}, {:.1f}; {:.0f}"),
     Row("plate", STEEL, "plate on a cube, contact stiffness 1e8 Pa/m: relative error of the height",
         each("plate_on_cube", "--stiffness-per-area 1e8"), keys("height_error"), "{:.0e}", EXACT,
         quick=True),

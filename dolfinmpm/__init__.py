@@ -11,14 +11,17 @@ with _idle_collector():
     from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
     from dolfinmpm.basis.space import Space
     from dolfinmpm.body.axisymmetry import gradient
+    from dolfinmpm.body.bodysums import BodySums
     from dolfinmpm.body.boundary import Boundary
     from dolfinmpm.body.filling import fill
     from dolfinmpm.body.footing import RigidFooting
     from dolfinmpm.body.meshpartition import partitioner
+    from dolfinmpm.body.pointfamilies import Families, FamilyChange, families, merge, split
     from dolfinmpm.body.points import MaterialPoints, PointChange
     from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
+    from dolfinmpm.body.wantedsizes import near, where_it_yields
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
@@ -58,6 +61,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ArcLength",
     "Ball",
+    "BodySums",
     "Boundary",
     "Box",
     "Collision",
@@ -65,6 +69,8 @@ __all__ = [
     "Deposit",
     "Disc",
     "Explicit",
+    "Families",
+    "FamilyChange",
     "Film",
     "Fluid",
     "GeneralisedAlpha",
@@ -99,6 +105,7 @@ __all__ = [
     "dirichlet",
     "equilibrate",
     "errors",
+    "families",
     "figure",
     "fill",
     "fixed",
@@ -110,8 +117,10 @@ __all__ = [
     "kozeny_carman",
     "materials",
     "measure_stages",
+    "merge",
     "momentum",
     "moving",
+    "near",
     "partitioner",
     "plot",
     "poromechanics",
@@ -122,11 +131,13 @@ __all__ = [
     "set_stress",
     "signorini",
     "soft",
+    "split",
     "springs",
     "steps",
     "stiffness_per_area",
     "stress",
     "study",
     "times",
+    "where_it_yields",
     "zoned_line",
 ]

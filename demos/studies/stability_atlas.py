@@ -178,12 +178,18 @@ def table(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(found, key=lambda r: [o.index(r[k]) for o, k in zip(order, KEYS)])
 
 
+def shares_by(name: str, results: list[dict[str, Any]]) -> dict[str, float]:
+    """Share of the problems that came to the end, by the value of a key."""
+    ends: dict[str, list[bool]] = {}
+    for result in results:
+        ends.setdefault(result[name], []).append(result["outcome"] == END)
+    return {value: sum(group) / len(group) for value, group in ends.items()}
+
+
 def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """The table, shares by stabilisation, and the worst seeds with their commands."""
-    shares = {}
-    for kind in dict.fromkeys(r["stabilisation"] for r in results):
-        group = [r for r in results if r["stabilisation"] == kind]
-        shares[kind] = sum(r["outcome"] == END for r in group) / len(group)
+    """The table, shares by stabilisation and basis, the worst seeds with their commands."""
+    shares = shares_by("stabilisation", results)
+    ghost = [r for r in results if r["stabilisation"] == "ghost"]
     seconds = {}
     for family in dict.fromkeys(r["family"] for r in results):
         spent = [r["seconds"] for r in results if r["family"] == family]
@@ -195,7 +201,8 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
         for r in failed
     ]
     return {
-        "problems": len(results), "success": shares, "wrong": sum(
+        "problems": len(results), "success": shares,
+        "success_with_ghost": shares_by("basis", ghost), "wrong": sum(
             r["outcome"] == WRONG for r in results
         ), "wrong_stabilised": sum(
             r["outcome"] == WRONG and r["stabilisation"] != "none" for r in results
@@ -215,8 +222,9 @@ def show(figures: dict[str, Any], most: int = 12) -> None:
         say(f"{one['outcome']}: {one['reason'][:100]}\n    {one['command']}")
     spent = ", ".join(f"{family} {time:.1f}" for family, time in figures["seconds"].items())
     say(f"seconds per problem: {spent}")
-    shares = ", ".join(f"{kind} {share:.1%}" for kind, share in figures["success"].items())
-    say(f"{figures['problems']} problems, {figures['wrong']} wrong; to the end: {shares}")
+    for what, name in (("with ghost", "success_with_ghost"), ("to the end", "success")):
+        shares = ", ".join(f"{kind} {share:.1%}" for kind, share in figures[name].items())
+        say(f"{figures['problems']} problems, {figures['wrong']} wrong; {what}: {shares}")
 
 
 # %% [markdown]

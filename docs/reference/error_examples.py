@@ -7,6 +7,7 @@ page of errors. `block` and `problem` are what all of them start from.
 from __future__ import annotations
 
 import math
+import pathlib
 
 import numpy as np
 import ufl
@@ -87,6 +88,12 @@ def StateError():
         reference_pressure=2e4, preconsolidation=2e4,
     )  # fmt: skip
     clay.respond([[-40.0, -40.0, -40.0]])  # logarithmic strains
+
+
+def UserLawError():
+    source = pathlib.Path("law.f90")
+    source.write_text("subroutine vumat()\nend subroutine\n")
+    mpm.materials.UMAT(source)
 
 
 def CheckpointError():

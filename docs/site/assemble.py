@@ -73,6 +73,8 @@ def copy_programs() -> set[Path]:
             written.add(place)
         header = DOCS / "site" / f"{target}_header.rst"
         write(BUILD / "programs" / target / "GALLERY_HEADER.rst", header.read_text())
+    for file in sorted((ROOT / "demos" / "umat").iterdir()):
+        write(BUILD / "programs" / "demos" / "umat" / file.name, file.read_text())
     return written
 
 
@@ -113,12 +115,15 @@ def main() -> None:
     renew_results()
     import api
     import errorindex
+    import lawpictures
     import studies
 
     check_cards()
     api.write_pages(write, SOURCE)
     errorindex.write_page(write, SOURCE)
-    studies.run_studies(os.environ.get("DOLFINMPM_SITE_EXAMPLES") != "none")
+    runs = os.environ.get("DOLFINMPM_SITE_EXAMPLES") != "none"
+    lawpictures.write_page(write, SOURCE, runs)
+    studies.run_studies(runs)
 
 
 if __name__ == "__main__":

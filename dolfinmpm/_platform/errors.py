@@ -44,6 +44,7 @@ __all__ = [
     "UnreadOptionWarning",
     "UnstablePairWarning",
     "UnsupportedGridError",
+    "UserLawError",
     "call_together",
     "common_text",
     "raise_together",
@@ -113,6 +114,10 @@ class MigrationError(DolfinMPMError, RuntimeError):
 
 class StateError(DolfinMPMError, RuntimeError):
     """A constitutive law finds no stress for a strain."""
+
+
+class UserLawError(DolfinMPMError, RuntimeError):
+    """A law from outside cannot be compiled, or is faulty."""
 
 
 class CheckpointError(DolfinMPMError, RuntimeError):

@@ -110,7 +110,14 @@ def _within(name: str, a: Any, b: Any) -> tuple[str, Any, Any]:
             return _within(f"{x[0]} of {name}", x[1], y[1])
         if pairs:
             return name, x[0], y[0]
+    elif _are_names(a) and _are_names(b):
+        # of long lists only what differs
+        return name, tuple(x for x in a if x not in b), tuple(y for y in b if y not in a)
     return name, a, b
+
+
+def _are_names(value: Any) -> bool:
+    return isinstance(value, tuple) and all(isinstance(part, str) for part in value)
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -9,8 +9,9 @@ integrals over the edges of a cell.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -269,11 +270,11 @@ class FacetTensors:
         # by direction of the facet, and whether its first cell is the upper cell
         self._facing: dict[tuple[int, bool], list[_Integral]] = {}
 
-    def __call__(self, place: LatticeFacet, one: FacetModulus | None = None) -> Array:
+    def __call__(self, place: Any, one: FacetModulus | None = None) -> Array:
         """The tensor of one facet, with the present values of the form's constants.
 
         Args:
-            place: The facet.
+            place: The facet, a `LatticeFacet` or one with the same attributes.
             one: The modulus that is 1; other moduli are 0.
 
         Returns:
@@ -292,15 +293,31 @@ class FacetTensors:
             np.array_equal(weights, scale[:, None, :, None] * np.eye(c)[:, None, :])
             for (_, weights), scale in zip(parts, diagonal)
         )
-        functions = [self._degree + 1 + (d == place.direction) for d in range(len(place.lines))]
-        total = np.zeros((math.prod(functions),) * 2 + (1 if single else c**2,))
+        total = self._zeros(place, 1 if single else c**2)
         for (part, weights), scale in zip(parts, diagonal):
             blocks = scale[:, :, None] if single else weights.transpose(0, 2, 1, 3)
             blocks = blocks.reshape(*scale.shape, -1)
             for r, s in np.argwhere(blocks.any(axis=2)):
-                lines = self._lines(place, part.keys[0][r], part.keys[1][s], part.gauss)
-                total += product(lines)[:, :, None] * blocks[r, s]
+                first, second = part.keys[0][r], part.keys[1][s]
+                self._add(total, place, first, second, part.gauss, blocks[r, s])
         return total
+
+    def parts(self, place: Any, moduli: Sequence[FacetModulus]) -> Array:
+        """Tensors of a facet: without moduli, and per modulus, shape (1 + moduli, m, m, n)."""
+        base = self(place)
+        slopes = [self(place, one) for one in moduli]
+        most = max(t.shape[2] for t in (base, *slopes))
+        one = np.eye(self._components).ravel()
+        tensors = [t * one if t.shape[2] < most else t for t in (base, *slopes)]
+        return np.array([tensors[0], *(t - tensors[0] for t in tensors[1:])])
+
+    def _zeros(self, place: Any, pairs: int) -> Array:
+        functions = [self._degree + 1 + (d == place.direction) for d in range(len(place.lines))]
+        return np.zeros((math.prod(functions),) * 2 + (pairs,))
+
+    def _add(self, total: Array, place: Any, first, second, gauss, block: Array) -> None:
+        """Add the product of two derivatives on their sides, times a block of components."""
+        total += product(self._lines(place, first, second, gauss))[:, :, None] * block
 
     def _lines(self, place: LatticeFacet, first, second, gauss: int | None) -> list[Array]:
         """Matrices of two derivatives on their sides, one matrix per direction."""

@@ -23,8 +23,9 @@ from dolfinmpm._platform.compat import (
 )
 from dolfinmpm.assembly.facetpenalties import INTERVALS, MeshPairs, by_ratio
 from dolfinmpm.assembly.facettensors import facet_moduli
+from dolfinmpm.assembly.leaffacetblock import LeafFacetBlock, check_on_leaves
 from dolfinmpm.assembly.splinefacets import FacetBlock, uses_facet_classes
-from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis import LatticeBasis, LeafBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.cut.activation import ActiveField
@@ -185,6 +186,9 @@ class _CompiledForm:
         return values
 
 
+_Bilinear = _CompiledForm | FacetBlock | LeafFacetBlock
+
+
 class GridAssembler:
     """Assembles the terms of a weak form over the grid. Collective in what it compiles.
 
@@ -203,7 +207,7 @@ class GridAssembler:
         self._external = self._linear_forms(terms.external)
         # terms that are linear in the increments act only by their Jacobian
         self._internal = {} if terms.linear else self._linear_forms(terms.internal)
-        self._jacobian: dict[tuple[int, int], _CompiledForm | FacetBlock] | None = None
+        self._jacobian: dict[tuple[int, int], _Bilinear] | None = None
         self._attached: Sequence[Entities] | None = None
         self.moving = set().union(*(b.moving for b in self._vectors))
         if terms.linear:
@@ -217,11 +221,11 @@ class GridAssembler:
         return list(found.values())
 
     def _linear_forms(self, forms) -> dict[int, _CompiledForm]:
-        return {
-            k: _CompiledForm(form, [self._spaces[k]])
-            for k, form in enumerate(forms)
-            if form is not None
-        }
+        given = {k: form for k, form in enumerate(forms) if form is not None}
+        for k, form in given.items():
+            if self._spaces[k].refinement is not None:
+                check_on_leaves(form, self._spaces[k])
+        return {k: _CompiledForm(form, [self._spaces[k]]) for k, form in given.items()}
 
     @property
     def _vectors(self) -> list[_CompiledForm]:
@@ -240,21 +244,28 @@ class GridAssembler:
         return {pair for pair, block in blocks.items() if isinstance(block, FacetBlock)}
 
     @property
-    def spline_blocks(self) -> list[FacetBlock]:
-        """Blocks over facets between splines; empty before the first tangent."""
-        return [b for b in (self._jacobian or {}).values() if isinstance(b, FacetBlock)]
+    def facet_blocks(self) -> list[FacetBlock | LeafFacetBlock]:
+        """Blocks with kept tensors of facets; empty before the first tangent."""
+        kinds = FacetBlock, LeafFacetBlock
+        return [b for b in (self._jacobian or {}).values() if isinstance(b, kinds)]
 
-    def _blocks(self) -> dict[tuple[int, int], _CompiledForm | FacetBlock]:
+    def _blocks(self) -> dict[tuple[int, int], _Bilinear]:
         if self._jacobian is None:
             self._jacobian = {}
             for i, row in enumerate(self.terms.jacobian):
                 for j, form in enumerate(row):
                     if form is None:
                         continue
+                    if i == j and self._spaces[i].refinement is not None:
+                        self._jacobian[i, j] = LeafFacetBlock(form, self._spaces[i])
+                        continue
                     if i == j and uses_facet_classes(form, self._spaces[i]):
                         self._jacobian[i, j] = FacetBlock(form, self._spaces[i])
                         continue
                     spaces = [self._spaces[i], self._spaces[j]]
+                    for space in spaces:
+                        if space.refinement is not None:
+                            check_on_leaves(form, space)
                     self._jacobian[i, j] = _CompiledForm(form, spaces)
         return self._jacobian
 
@@ -308,6 +319,11 @@ class GridAssembler:
                 basis = fields[i].basis
                 assert isinstance(basis, LatticeBasis)
                 block.attach(entities[i], basis)
+                T = [fields[i].C, fields[j].C]
+            elif isinstance(block, LeafFacetBlock):
+                leaves = fields[i].basis
+                assert isinstance(leaves, LeafBasis)
+                block.attach(entities[i], leaves)
                 T = [fields[i].C, fields[j].C]
             else:
                 # two fields: take the facets of the field that sees fewer cells, which is a field

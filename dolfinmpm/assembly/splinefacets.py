@@ -237,7 +237,7 @@ class FacetBlock:
             self._kept = kept = _KeptTensors(values)
         for code, place in facets.examples.items():
             if code not in kept.tensors:
-                kept.tensors[code] = self._tensor(place)
+                kept.tensors[code] = self._tensor_of.parts(place, self.moduli)
         c, m, parts = self._space.components, self._patch.nodes.shape[1], 1 + len(self.moduli)
         tensors = [kept.tensors[code] for code in facets.examples]
         single = all(t.shape[3] == 1 for t in tensors)
@@ -252,14 +252,6 @@ class FacetBlock:
             stacked, scale = np.ascontiguousarray(stacked[:, 1:]), scale[:, 1:].copy()
         out = facets.couplings.sums(facets.kind, stacked, scale)
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
-
-    def _tensor(self, place: LatticeFacet) -> Array:
-        """Tensors of a facet: without moduli, and per modulus, shape (1 + moduli, m, m, n)."""
-        base = self._tensor_of(place)
-        slopes = [self._tensor_of(place, one) for one in self.moduli]
-        most, c = max(t.shape[2] for t in (base, *slopes)), self._space.components
-        tensors = [t * np.eye(c).ravel() if t.shape[2] < most else t for t in (base, *slopes)]
-        return np.array([tensors[0], *(t - tensors[0] for t in tensors[1:])])
 
     def _scaled(self, k: int) -> Array:
         """Values of a modulus at the facets."""

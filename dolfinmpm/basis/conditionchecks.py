@@ -23,14 +23,15 @@ def idle(
     """Places whose conditions constrain no active node on any rank. Collective.
 
     Args:
-        conditions: The conditions. Conditions with `follows=True` are not looked at.
+        conditions: The conditions. Conditions with `follows=True`, and conditions of refined
+            spaces, are not looked at.
         spaces: Spaces of the fields.
         active: Active nodes of each space, in the numbering of the conditions.
 
     Returns:
         Names of the places, each name once.
     """
-    conditions = [condition for condition in conditions if condition.place is None]
+    conditions = [c for c in conditions if c.place is None and c.space.refinement is None]
     if not conditions:
         return []
     holds = np.zeros(len(conditions), np.int32)

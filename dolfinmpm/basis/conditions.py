@@ -13,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import at_time, choice, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import at_time, number, shown, truth, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     ParameterError,
@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.sides import side_of
 from dolfinmpm.grid.userfunctions import call_function, choose
 
 __all__ = [
@@ -31,7 +32,6 @@ __all__ = [
     "node_coordinates",
     "prescribed",
     "rollers",
-    "side_of",
 ]
 
 Where = str | Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]]
@@ -57,6 +57,8 @@ class Condition:
         kind: "increment" of every step, of which parts of a step have a share; "value" of the
             field itself, which parts of a step have in full; or "zero", which is both.
         place: Function of positions that says where in every step anew, or None.
+        chooses: Side, or function of positions, that chose the nodes.
+        function: Function of positions that gave the values, or None.
     """
 
     space: Space
@@ -67,6 +69,8 @@ class Condition:
     velocity: Callable[[float], float] | None = None
     kind: str = "zero"
     place: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]] | None = None
+    chooses: Where = ""
+    function: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None
 
     @property
     def changes(self) -> bool:
@@ -92,45 +96,6 @@ class Condition:
         if not space.grid.comm.allreduce(changed, op=MPI.LOR):
             return self
         return replace(self, nodes=nodes)
-
-
-def _sides(gdim: int) -> dict[str, tuple[int, int]]:
-    """Axis and end (0: lower, 1: upper) of each side; bottom and top are on the last axis."""
-    last = gdim - 1
-    sides = {"left": (0, 0), "right": (0, 1), "bottom": (last, 0), "top": (last, 1)}
-    if gdim == 3:
-        sides |= {"front": (1, 0), "back": (1, 1)}
-    return sides
-
-
-def side_of(where: str, gdim: int) -> tuple[str, int, int]:
-    """Name, axis and end (0: lower, 1: upper) of a side of the grid.
-
-    Args:
-        where: Name of the side; see `prescribed`.
-        gdim: Dimension of space.
-
-    Raises:
-        ParameterError: The grid has no side with this name.
-    """
-    name = _side(where, gdim)
-    return (name, *_sides(gdim)[name])
-
-
-def _side(where: str, gdim: int) -> str:
-    """Name of a side, which may be given by its axis."""
-    by_axis: dict[Any, str] = {}
-    for name, (axis, end) in _sides(gdim).items():
-        by_axis.setdefault(f"{'xyz'[axis]}{'-+'[end]}", name)
-    if isinstance(where, str) and where.lower() in by_axis:
-        return by_axis[where.lower()]
-    try:
-        return choice("side", where, _sides(gdim))
-    except ParameterError as error:
-        axes = ", ".join(f'"{side}"' for side in by_axis)
-        raise ParameterError(
-            f"{error}; or a function of positions; or a side by its axis, {axes}"
-        ) from None
 
 
 def node_coordinates(space: Space) -> npt.NDArray[np.float64]:
@@ -159,8 +124,7 @@ def _nodes(
     x = node_coordinates(space)
     comm, gdim = space.grid.comm, space.grid.geometry.dim
     if not callable(where):
-        name = _side(where, gdim)
-        axis, end = _sides(gdim)[name]
+        name, axis, end = side_of(where, gdim)
         low = min(comm.allgather(x[:, axis].min(initial=math.inf)))
         high = max(comm.allgather(x[:, axis].max(initial=-math.inf)))
         chosen = np.abs(x[:, axis] - (low, high)[end]) <= 1e-9 * (high - low)
@@ -248,11 +212,15 @@ def prescribed(
             "follows=True goes with a function of positions as where, and with a number or a "
             f"constant as {kind}: the number of nodes may change from step to step"
         )
-    nodes, name = _nodes(space, where, follows)
+    # a place may lie between the nodes of the grid, where leaves have nodes
+    nodes, name = _nodes(space, where, follows or space.refinement is not None)
     what = f"the {'increment' if kind == 'zero' else kind} prescribed at '{name}'"
     checked = _checked(space, nodes, what, given)
     place = where if follows and callable(where) else None
-    return [Condition(space, nodes, int(component), checked, name, None, kind, place)]
+    function = given if callable(given) and not isinstance(given, fem.Constant) else None
+    return [
+        Condition(space, nodes, int(component), checked, name, None, kind, place, where, function)
+    ]
 
 
 @collective
@@ -399,8 +367,8 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
                 "rollers take names of sides, which have a normal; at a function of positions "
                 "use mpm.prescribed(space, function, component)"
             )
-        name = _side(side, gdim)
-        result += prescribed(space, name, _sides(gdim)[name][0])
+        name, axis, _ = side_of(side, gdim)
+        result += prescribed(space, name, axis)
     return result
 
 

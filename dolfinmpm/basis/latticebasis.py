@@ -17,10 +17,10 @@ from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.basis.bspline import functions_of, greville
 from dolfinmpm.basis.latticeloops import group_keys, largest_reach, overlaps, stencil_loop
-from dolfinmpm.basis.lineweights import SNAP
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, Numbering, build_halo
 from dolfinmpm.grid.lattice import Lattice, lattice_of
+from dolfinmpm.grid.linecells import SNAP
 from dolfinmpm.grid.partition import Partition
 
 __all__ = ["LatticeBasis", "first_parts"]

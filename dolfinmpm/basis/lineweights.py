@@ -5,34 +5,12 @@ from __future__ import annotations
 import math
 
 import numba
-import numpy as np
 
 from dolfinmpm.basis.bspline import averaged_spline_weights, weights_at
 from dolfinmpm.basis.gimp import domain_weights
+from dolfinmpm.grid.linecells import SNAP, cell_of
 
-__all__ = ["SNAP", "line_shares", "line_weights", "overlapped", "ring_slopes", "snapped"]
-
-# Lengths below this share of a cell are rounding errors. Examples are the overlap of a domain with
-# a cell, and the distance of a point without a domain from a grid line. Rounding errors must not
-# make cells or nodes active.
-SNAP = 1e-10
-
-
-@numba.njit(cache=True, inline="always")
-def cell_of(line, uniform, x):
-    n = line.size - 1
-    if uniform:
-        cell = int(np.floor((x - line[0]) / (line[n] - line[0]) * n))
-    else:
-        # bisection; np.searchsorted takes three times as long to compile
-        cell, end = -1, n + 1
-        while end - cell > 1:
-            middle = (cell + end) // 2
-            if line[middle] <= x:
-                cell = middle
-            else:
-                end = middle
-    return min(max(cell, 0), n - 1)
+__all__ = ["line_shares", "line_weights", "overlapped", "ring_slopes", "snapped"]
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -19,13 +19,17 @@ from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.latticebasis import first_parts
+from dolfinmpm.basis.leafbasis import LeafBasis
+from dolfinmpm.basis.refinement import Refinement, refinement_of
 from dolfinmpm.grid.lattice import (
     Lattice,
     cell_size,
     coarse_cell_size,
     lattice_of,
+    leaf_size,
     once_per_grid,
     require_lattice,
+    smallest_height,
 )
 from dolfinmpm.grid.serialnumbers import next_number
 
@@ -116,7 +120,7 @@ def splines_at(
     return nodes, N
 
 
-def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
+def extraction(space: Space, basis: Basis | LeafBasis) -> sparse.csr_matrix | None:
     """Extraction matrix E of the basis: u_Lagrange = E u_basis at the nodes of the Lagrange space.
 
     In every cell of the grid, a spline is a polynomial of the space's degree, and E is exact. The
@@ -130,14 +134,36 @@ def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
         E, shape (Lagrange nodes, nodes of the basis) in local numberings, or None where
         the nodes are the same.
     """
-    if not isinstance(basis, LatticeBasis):
+    if isinstance(basis, LinearBasis):
         return None
-    if basis.degree == 1 and basis.coarsen == 1 and basis.partition is None:
+    if (
+        isinstance(basis, LatticeBasis)
+        and basis.degree == 1
+        and basis.coarsen == 1
+        and basis.partition is None
+    ):
         return None
     kept = space.__dict__.setdefault("_extractions", weakref.WeakKeyDictionary())
     if basis not in kept:
-        kept[basis] = _extract(space, basis)
+        if isinstance(basis, LeafBasis):
+            kept[basis] = _from_leaves(space, basis)
+        else:
+            kept[basis] = _extract(space, basis)
     return kept[basis]
+
+
+def _from_leaves(space: Space, basis: LeafBasis) -> sparse.csr_matrix:
+    """Values at the nodes of the grid: those of the same nodes of leaves, 0 without a leaf."""
+    from scipy import sparse
+
+    base, levels = space.basis, basis.leaves.tree.levels
+    assert isinstance(base, LatticeBasis)
+    shape = tuple((np.array(basis.lattice.shape, np.int64) << levels) + 1)
+    keys = np.ravel_multi_index(tuple(basis.fine.T), shape)
+    wanted = np.ravel_multi_index(tuple(base.halo.node_ijk.T.astype(np.int64) << levels), shape)
+    _, rows, columns = np.intersect1d(wanted, keys, assume_unique=True, return_indices=True)
+    size = wanted.size, basis.nodes.size
+    return sparse.csr_matrix((np.ones(rows.size), (rows, columns)), shape=size)
 
 
 def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
@@ -217,6 +243,17 @@ class Space:
             tags exists only where its points are. It has its own active cells, ghost facets and
             constraints. Several displacement fields that divide the points by tags each move
             their own points: bodies with separate velocities on one grid.
+        refine: Sizes of cells wanted (m), for cells that are halved where smaller ones are wanted:
+            a function of positions, shape (gdim, n), that returns n sizes; `near(body, size)`;
+            `where_it_yields(points, size)`; or a list of these, of which the least size counts.
+            The grid itself stays. Its cells are the roots of trees, whose leaves are the cells
+            of the field. Needs a rectangular grid and "linear" or "gimp". Points should follow:
+            see `Problem.adapt`.
+        levels: Largest number of times that a cell of the grid is halved, 0 to 10. With 0 the
+            cells are those of the grid.
+        per_cell: Points per leaf and direction that points follow: they split where leaves are
+            finer, and merge where leaves are larger again. None leaves the points as they are.
+            Counts with `refine` only.
 
     Attributes:
         increment: The step's increment, a function for UFL.
@@ -225,6 +262,7 @@ class Space:
             the basis's degree.
         coarsen: Number of cells of the grid per cell of this field and direction.
         tags: Tags of the points of the field, or None for all points.
+        refinement: Sizes wanted and leaves, or None without `refine`.
 
     Raises:
         ParameterError: The grid, the basis, the shape or a tag is not valid.
@@ -252,6 +290,9 @@ class Space:
         domains: str = "stretch",
         coarsen: int = 1,
         tag: int | tuple[int, ...] | None = None,
+        refine: Any = None,
+        levels: int | None = None,
+        per_cell: int | None = 2,
     ):
         basis = choice("basis", basis, _DEGREES)
         _check_grid(grid)
@@ -271,6 +312,10 @@ class Space:
         self.grid = grid
         self.coarsen = whole("coarsen", coarsen, 1)
         self.tags = as_tags(tag)
+        self.per_cell = None if per_cell is None else whole("per_cell", per_cell, 1)
+        self.refinement = None
+        if refine is not None or levels is not None:
+            self.refinement = self._refined(basis, refine, levels)
         on_grid = _basis_of(grid, basis, averaged and basis != "linear", self.coarsen)
         self.basis: Basis = on_grid.basis
         element = (
@@ -286,9 +331,39 @@ class Space:
         if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")
 
+    def _refined(self, basis: str, refine: Any, levels: Any) -> Refinement | None:
+        """The refinement, checked."""
+        if refine is None or levels is None:
+            raise ParameterError(
+                f"refine = {shown(refine)} and levels = {shown(levels)} go together: the sizes "
+                "wanted (m), and how often a cell of the grid may be halved"
+            )
+        if _DEGREES[basis] > 1 or self.coarsen > 1 or self.configuration == "total":
+            raise ParameterError(
+                f'refine needs basis="linear" or "gimp", coarsen=1 and configuration="updated", '
+                f"got basis={basis!r}, coarsen={self.coarsen}, "
+                f"configuration={self.configuration!r}; leave refine and levels out, or take these"
+            )
+        if whole("levels", levels, 0) == 0:
+            return None
+        return refinement_of(self.grid, refine, levels)
+
+    @property
+    @collective
+    def finest_cell(self) -> float:
+        """Least height of a cell, or of the leaves that refinement can make (m). Collective."""
+        depth = 0 if self.refinement is None else self.refinement.depth
+        return smallest_height(self.grid) / 2**depth
+
     @property
     def cell_size(self) -> fem.Constant | fem.Function:
-        """Size of this field's cells for UFL (m), see `dolfinmpm.cell_size`. Collective."""
+        """Size of this field's cells for UFL (m), see `dolfinmpm.cell_size`. Collective.
+
+        In a refined space it has the sizes of leaves in terms over ghost facets only. In sums over
+        points it has the sizes of the grid's own cells.
+        """
+        if self.refinement is not None:
+            return leaf_size(self.grid)
         if self.coarsen == 1:
             return cell_size(self.grid)
         return coarse_cell_size(self.grid, self.coarsen)

@@ -11,7 +11,7 @@ import numba
 
 from dolfinmpm.basis.bspline import uniform_averages, uniform_weights
 from dolfinmpm.basis.gimp import uniform_domain_weights
-from dolfinmpm.basis.lineweights import SNAP
+from dolfinmpm.grid.linecells import SNAP
 
 __all__ = ["middle_count", "middle_weights"]
 

@@ -10,7 +10,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import check_function, shown, truth, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -19,16 +19,16 @@ from dolfinmpm._platform.errors import (
     call_together,
 )
 from dolfinmpm.basis import Placement
-from dolfinmpm.basis.conditions import side_of
 from dolfinmpm.body.axisymmetry import gradient, in_section
-from dolfinmpm.body.contours import along_segments, cut_triangles
+from dolfinmpm.body.contours import cut_triangles
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.markergeometry import (
-    level_set_pieces,
+    level_set_markers,
     put_inside,
     revolved,
     rows_of,
+    segment_markers,
     segments_of,
     side_markers,
     triangles_of,
@@ -36,8 +36,9 @@ from dolfinmpm.body.markergeometry import (
 from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.body.surfaceloads import pressure_of, vector_of
-from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
+from dolfinmpm.grid.lattice import lattice_of, require_lattice
 from dolfinmpm.grid.serialnumbers import next_number
+from dolfinmpm.grid.sides import side_of
 
 __all__ = ["OWN", "Boundary"]
 
@@ -195,7 +196,7 @@ class Boundary:
             rule: Gauss points per piece of a segment in a cell.
             spacing: Greatest length of a piece (m). By default the cells of a rectangular grid
                 cut the pieces, and half a cell is the limit on other grids. Give a spacing for
-                bodies that move far, or for grids with a moving fine zone.
+                bodies that move far, for grids with a moving fine zone, and for refined spaces.
 
         Raises:
             UnsupportedGridError: The grid is not in two dimensions.
@@ -209,13 +210,7 @@ class Boundary:
                 "Boundary.from_triangles"
             )
         ends = segments_of(vertices, truth("closed", closed))
-        lattice, rule = lattice_of(points.grid), whole("rule", rule, 1)
-        if spacing is not None:
-            number("spacing", spacing, 0.0, unit="m")
-        elif lattice is None:
-            spacing = smallest_height(points.grid) / 2
-        lines = () if lattice is None else lattice.lines
-        x, area = along_segments(ends, lines, np.inf if spacing is None else spacing, rule)
+        x, area = segment_markers(points.grid, ends, spacing, whole("rule", rule, 1))
         made = cls(
             points, *revolved(points, x, area), follows=follows, name=name, activates=activates
         )
@@ -324,16 +319,7 @@ class Boundary:
         if points.gdim == 1:
             raise UnsupportedGridError("a level set needs a grid of 2D or 3D; give Boundary(...)")
         whole("subdivisions", subdivisions, 1), whole("rule", rule, 1)
-        pieces = level_set_pieces(points.grid, phi, subdivisions)
-        if points.gdim == 2:
-            x, area = along_segments(pieces, (), np.inf, rule)
-        else:
-            x, area = cut_triangles(pieces, None, coarse=True)
-        if points.comm.allreduce(len(x), op=MPI.SUM) == 0:
-            raise EmptyShapeError(
-                "phi changes its sign nowhere on the grid: phi must be negative in the body, "
-                "positive outside, and 0 at the boundary"
-            )
+        x, area = level_set_markers(points.grid, phi, subdivisions, rule)
         return cls(
             points, *revolved(points, x, area), follows=follows, name=name, activates=activates
         )

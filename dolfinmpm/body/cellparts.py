@@ -13,10 +13,12 @@ from dolfinx.mesh import Mesh
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm.basis.cells import BOX
 from dolfinmpm.basis.linear import kind_of
+from dolfinmpm.basis.refinement import Refinement
 from dolfinmpm.body.pointlimits import check_amount
 from dolfinmpm.grid.lattice import Lattice
+from dolfinmpm.grid.leaves import leaves_of
 
-__all__ = ["CellParts", "LatticeParts", "Parts"]
+__all__ = ["CellParts", "LatticeParts", "LeafParts", "Parts"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
@@ -81,13 +83,25 @@ class LatticeParts(Parts):
         if low is not None and high is not None:
             near = np.all((upper >= low) & (lower <= high), axis=1)
         cells = np.flatnonzero(near).astype(np.int32)
+        place = np.asarray(np.ravel_multi_index(tuple(ijk[cells].T), lattice.shape), np.int64)
+        self._divide(lower[cells], upper[cells], cells, place, n)
+
+    def _divide(self, lower: Array, upper: Array, cells, place, n: int) -> None:
+        """Divide boxes into n parts per direction.
+
+        Args:
+            lower, upper: Corners of the boxes (m), shape (boxes, gdim).
+            cells: Local cell of the grid of each box.
+            place: Number of each box that does not depend on the ranks.
+            n: Parts per direction.
+        """
+        gdim = lower.shape[1]
         check_amount(len(cells) * n**gdim, n)
         parts = np.array(list(itertools.product(range(n), repeat=gdim)))
-        size = (upper[cells] - lower[cells])[:, None] / n
-        self.low: Array = (lower[cells][:, None] + parts * size).reshape(-1, gdim)
-        self.high: Array = (lower[cells][:, None] + (parts + 1) * size).reshape(-1, gdim)
+        size = (upper - lower)[:, None] / n
+        self.low: Array = (lower[:, None] + parts * size).reshape(-1, gdim)
+        self.high: Array = (lower[:, None] + (parts + 1) * size).reshape(-1, gdim)
         self.cell = np.repeat(cells, len(parts))
-        place = np.asarray(np.ravel_multi_index(tuple(ijk[cells].T), lattice.shape), np.int64)
         self.key = (place[:, None] * len(parts) + np.arange(len(parts))).ravel()
         self.x = 0.5 * (self.low + self.high)
         self.volume = np.prod(self.high - self.low, axis=1)
@@ -103,6 +117,40 @@ class LatticeParts(Parts):
         if spread is None:
             return 0.5 * (self.high[rows] - self.low[rows])
         return 0.5 * spread * (volume / np.prod(spread, axis=1))[:, None] ** (1 / spread.shape[1])
+
+
+class LeafParts(LatticeParts):
+    """Boxes in the leaves of a refined space. Collective.
+
+    Args:
+        refinement: The refinement.
+        grid: Background grid.
+        n: Parts per leaf and direction.
+        low, high: Corners of a box (m) that leaves must touch, or None for all leaves.
+    """
+
+    def __init__(
+        self, refinement: Refinement, grid: Mesh, n: int, low: Array | None, high: Array | None
+    ):
+        lattice = refinement.lattice
+        own = lattice.cell_ijk[: _owned(grid)]
+        ends = [(line[i], line[i + 1]) for line, i in zip(lattice.lines, own.T)]
+        lower, upper = (np.column_stack(side) for side in zip(*ends))
+        near = np.ones(len(own), bool)
+        if low is not None and high is not None:
+            near = np.all((upper >= low) & (lower <= high), axis=1)
+        x, half = 0.5 * (lower + upper)[near], 0.5 * (upper - lower)[near]
+        leaves = leaves_of(grid.comm, lattice, refinement.levels, x, half, refinement.wanted)
+        root = leaves.low >> leaves.tree.levels
+        local = np.full(lattice.shape, -1, np.int32)
+        local[tuple(own.T)] = np.arange(len(own), dtype=np.int32)
+        cells = local[tuple(root.T)]
+        lower, upper = leaves.tree.corners(leaves.node)
+        mine = cells >= 0
+        if low is not None and high is not None:
+            mine &= np.all((upper >= low) & (lower <= high), axis=1)
+        rows = np.flatnonzero(mine)
+        self._divide(lower[rows], upper[rows], cells[rows], rows.astype(np.int64), n)
 
 
 class CellParts(Parts):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import number, truth
+from dolfinmpm._platform.argumentchecks import number, shown, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -19,8 +19,10 @@ from dolfinmpm._platform.errors import (
     ShapeOutsideGridError,
     call_together,
 )
+from dolfinmpm.basis.refinement import Refinement
+from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import require_axis, ring
-from dolfinmpm.body.cellparts import CellParts, LatticeParts, Parts
+from dolfinmpm.body.cellparts import CellParts, LatticeParts, LeafParts, Parts
 from dolfinmpm.body.exchange import numbers_in_order
 from dolfinmpm.body.location import bounds, destinations
 from dolfinmpm.body.pointchecks import require_grid
@@ -51,6 +53,7 @@ def fill(
     tag: int = 0,
     exact: bool = False,
     axisymmetric: bool = False,
+    refine: Space | None = None,
 ) -> MaterialPoints:
     """Fill a shape with material points. Collective.
 
@@ -81,6 +84,8 @@ def fill(
         axisymmetric: Whether the shape is the section of an axisymmetric body about the axis
             x[0] = 0. Volumes are then 2π r times the areas of the parts. Masses, forces and
             energies are for the whole body.
+        refine: A refined space, or None. The leaves that it wants now are divided instead of the
+            cells of the grid.
 
     Raises:
         ParameterError: An argument is not valid, or so few points cannot have the exact volume.
@@ -114,7 +119,8 @@ def fill(
         x, volume, half, cell, key = _divide_box(grid, lattice, shape, per_cell)
     else:
         divide = _cut if exact else _whole_parts
-        x, volume, half, cell, key = divide(grid, lattice_of(grid), shape, per_cell)
+        parts = _parts(grid, lattice_of(grid), shape, per_cell, _refinement(grid, refine))
+        x, volume, half, cell, key = divide(grid, parts, shape)
     if grid.comm.allreduce(len(x), op=MPI.SUM) == 0:
         raise EmptyShapeError(
             f"no material point falls into the shape with {per_cell} points per cell and "
@@ -176,8 +182,21 @@ def _check_inside(grid: Mesh, shape: Shape) -> None:
         )
 
 
-def _parts(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int) -> Parts:
+def _refinement(grid: Mesh, space: Any) -> Refinement | None:
+    """The refinement of a space, checked."""
+    if space is None:
+        return None
+    if not isinstance(space, Space) or space.grid is not grid:
+        raise ParameterError(f"refine = {shown(space)} must be a mpm.Space on this grid")
+    return space.refinement
+
+
+def _parts(
+    grid: Mesh, lattice: Lattice | None, shape: Shape, n: int, refinement: Refinement | None
+) -> Parts:
     """Parts of the cells that the shape touches. Collective."""
+    if refinement is not None:
+        return LeafParts(refinement, grid, n, shape.low, shape.high)
 
     def made() -> Parts:
         if lattice is None:
@@ -187,9 +206,8 @@ def _parts(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int) -> Parts:
     return call_together(grid.comm, made)
 
 
-def _whole_parts(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int):
+def _whole_parts(grid: Mesh, parts: Parts, shape: Shape):
     """Parts with their centres in the shape; parts that a box cuts are trimmed. Collective."""
-    parts = _parts(grid, lattice, shape, n)
     if isinstance(parts, LatticeParts) and isinstance(shape, Box):
         return _trimmed(parts, shape)
     keep = call_together(grid.comm, lambda: np.flatnonzero(shape.contains(parts.x)))
@@ -212,9 +230,8 @@ def _trimmed(parts: LatticeParts, shape: Box):
             parts.cell[keep], parts.key[keep])  # fmt: skip
 
 
-def _cut(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int):
+def _cut(grid: Mesh, parts: Parts, shape: Shape):
     """Pieces of the parts inside the shape, with the shape's volume and moments. Collective."""
-    parts = _parts(grid, lattice, shape, n)
     if isinstance(parts, LatticeParts) and isinstance(shape, Box):
         return _trimmed(parts, shape)
     pieces = call_together(grid.comm, lambda: pieces_inside(parts, shape))

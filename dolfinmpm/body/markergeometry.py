@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import (
+    EmptyShapeError,
     FieldShapeError,
     ParameterError,
     UnsupportedGridError,
@@ -18,14 +20,14 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.axisymmetry import ring
-from dolfinmpm.body.contours import contour, kuhn
+from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn
 from dolfinmpm.body.location import bounds
 from dolfinmpm.grid.lattice import Lattice, largest_cell, lattice_of, smallest_height
 from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = [
-    "level_set_pieces", "put_inside", "revolved", "rows_of", "segments_of", "side_markers",
-    "triangles_of",
+    "level_set_markers", "put_inside", "revolved", "rows_of", "segment_markers", "segments_of",
+    "side_markers", "triangles_of",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -162,18 +164,37 @@ def side_markers(lattice: Lattice, axis: int, end: int, rule: int) -> tuple[Arra
     return x.reshape(-1, gdim), area * normal
 
 
-def level_set_pieces(grid, phi: Callable[[Array], Any], subdivisions: int) -> Array:
-    """Segments or triangles on which a function is zero (m), in this rank's cells. Collective.
+def level_set_markers(
+    grid, phi: Callable[[Array], Any], subdivisions: int, rule: int
+) -> tuple[Array, Array]:
+    """Positions (m) and area vectors (m^(d-1)) of markers where a function is zero. Collective.
 
     Args:
         grid: Background grid, in 2D or 3D.
         phi: Function of positions (m), shape (gdim, n).
         subdivisions: Parts per cell and direction, on rectangular grids.
+        rule: Gauss points per piece of a line in 2D.
 
     Raises:
+        EmptyShapeError: The function is zero nowhere on the grid.
         ParameterError: A value of the function is not finite.
         UnsupportedGridError: The grid is neither rectangular nor of triangles or tetrahedra.
     """
+    pieces = _level_set_pieces(grid, phi, subdivisions)
+    if grid.geometry.dim == 2:
+        x, area = along_segments(pieces, (), np.inf, rule)
+    else:
+        x, area = cut_triangles(pieces, None, coarse=True)
+    if grid.comm.allreduce(len(x), op=MPI.SUM) == 0:
+        raise EmptyShapeError(
+            "phi changes its sign nowhere on the grid: phi must be negative in the body, "
+            "positive outside, and 0 at the boundary"
+        )
+    return x, area
+
+
+def _level_set_pieces(grid, phi: Callable[[Array], Any], subdivisions: int) -> Array:
+    """Segments or triangles on which a function is zero (m), in this rank's cells. Collective."""
     simplices = _simplices_of(grid, subdivisions)
     x = simplices.reshape(-1, grid.geometry.dim)
     values = call_together(grid.comm, lambda: call_function("phi", phi, x))
@@ -226,6 +247,23 @@ def segments_of(vertices: Any, closed: bool) -> Array:
     if short.any():
         raise ParameterError(f"the vertex {ends[short][0, 0]} m is given twice in a row")
     return ends
+
+
+def segment_markers(grid, ends: Array, spacing: float | None, rule: int) -> tuple[Array, Array]:
+    """Positions (m) and area vectors (m) of Gauss points on segments.
+
+    Args:
+        grid: Background grid, in 2D.
+        ends: Ends of the segments (m), shape (segments, 2, 2).
+        spacing: Greatest length of a piece (m); None for what `Boundary.from_polygon` says.
+        rule: Gauss points per piece.
+    """
+    lattice = lattice_of(grid)
+    longest = np.inf if lattice is not None else smallest_height(grid) / 2
+    if spacing is not None:
+        longest = number("spacing", spacing, 0.0, unit="m")
+    lines = () if lattice is None else lattice.lines
+    return along_segments(ends, lines, longest, rule)
 
 
 def triangles_of(vertices: Any, triangles: Any) -> Array:

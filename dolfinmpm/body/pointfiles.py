@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
+from dolfinmpm._platform.argumentchecks import truth
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
+from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.meshfiles import read_mesh
 from dolfinmpm.body.pointchecks import require_grid
 
@@ -127,7 +129,9 @@ _CELLS = {
 _DIMENSION = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
 
 
-def from_mesh(grid: Mesh, mesh, density, points: str, degree: int, tag) -> dict[str, Any]:
+def from_mesh(
+    grid: Mesh, mesh, density, points: str, degree: int, tag, axisymmetric: bool
+) -> dict[str, Any]:
     """Arguments of `MaterialPoints.from_arrays`; see `MaterialPoints.from_mesh`. Collective."""
     require_grid(grid)
     gdim = grid.geometry.dim
@@ -135,6 +139,7 @@ def from_mesh(grid: Mesh, mesh, density, points: str, degree: int, tag) -> dict[
         raise ParameterError(f'points = {points!r} must be "quadrature" or "centres"')
     if not isinstance(degree, (int, np.integer)) or degree < 1:
         raise ParameterError(f"degree = {degree!r} must be a whole number of at least 1")
+    truth("axisymmetric", axisymmetric)
 
     def read() -> dict[str, Any]:
         if grid.comm.rank != 0:
@@ -150,6 +155,7 @@ def from_mesh(grid: Mesh, mesh, density, points: str, degree: int, tag) -> dict[
                     f"{', '.join(map(str, density))}"
                 )
             rho = np.array([density[t] for t in tags.tolist()])
+        volume = ring(x[:, 0], volume) if axisymmetric else volume
         return {"x": x, "volume": volume, "density": rho, "tag": tags, "id": np.arange(len(x))}
 
     return call_together(grid.comm, read)

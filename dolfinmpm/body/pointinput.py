@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +23,18 @@ from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring
 from dolfinmpm.body.exchange import Rows, exchange, numbers_in_order
 from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.pointchecks import checked, checked_tag, require_grid
+from dolfinmpm.body.pointtable import BUILT_IN
 from dolfinmpm.grid.userfunctions import call_function
 
-__all__ = ["located", "outside"]
+if TYPE_CHECKING:
+    from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["destinations_of", "located"]
 
 Array = npt.NDArray[np.float64]
+
+# Names that further fields cannot have; an initial stress is such a field
+_RESERVED = {"id", "cell", "tag", "moved_under", *BUILT_IN} - {"stress"}
 
 
 def located(
@@ -39,14 +47,10 @@ def located(
     fields,
     id,
     axisymmetric: bool,
-    reserved: tuple[str, ...],
 ) -> tuple[Rows, Rows]:
     """Arguments of `MaterialPoints` and further fields, of points given anyhow. Collective.
 
-    Args:
-        grid, x, volume, density, tag, half_length, fields, id, axisymmetric: As
-            `MaterialPoints.from_arrays`.
-        reserved: Names that further fields cannot have.
+    The arguments are those of `MaterialPoints.from_arrays`.
     """
     require_grid(grid)
     if truth("axisymmetric", axisymmetric):
@@ -54,9 +58,7 @@ def located(
     comm, gdim = grid.comm, grid.geometry.dim
     given = call_together(
         comm,
-        lambda: _rows(
-            gdim, x, volume, density, tag, half_length, fields, id, axisymmetric, reserved
-        ),
+        lambda: _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric),
     )
     rows = _once(comm, _alike(comm, given))
     numbers = numbers_in_order(comm, rows["x"])
@@ -75,10 +77,17 @@ def located(
     return rows, others
 
 
-def outside(x: Array, id, to: Destinations) -> PointsOutsideGridError | None:
-    """An error if points at x (m), shape (n, gdim), have no cell."""
+def destinations_of(points: MaterialPoints) -> Destinations:
+    """Cells and ranks of points, wherever they have come. Collective.
+
+    Raises:
+        PointsOutsideGridError: Points are outside the grid.
+    """
+    x = points.placement(points.configuration).x
+    to = destinations(points.grid, x, points["cell"], points.partition)
     lost = to.rank < 0
-    return _outside(id[lost], x[lost])
+    raise_together(points.comm, _outside(points["id"][lost], x[lost]))
+    return to
 
 
 def _outside(id, x) -> PointsOutsideGridError | None:
@@ -91,9 +100,7 @@ def _outside(id, x) -> PointsOutsideGridError | None:
     )
 
 
-def _rows(
-    gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: bool, reserved
-) -> Rows:
+def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: bool) -> Rows:
     """The arrays that this rank gives, checked."""
     try:
         at = np.asarray(x, float)
@@ -136,7 +143,7 @@ def _rows(
         if n and (not np.issubdtype(numbers.dtype, np.integer) or numbers.min() < 0):
             raise ParameterError("id should be whole numbers of at least 0")
         rows["id"] = numbers.astype(np.int64)
-    rows |= _further(fields, at, reserved)
+    rows |= _further(fields, at)
     _, first = np.unique(rows["x"], axis=0, return_index=True)
     if len(first) < n:
         again = np.setdiff1d(np.arange(n), first)
@@ -147,7 +154,7 @@ def _rows(
     return rows
 
 
-def _further(fields, at: Array, reserved) -> Rows:
+def _further(fields, at: Array) -> Rows:
     """Further fields of points at positions (m), shape (n, gdim), checked."""
     n, rows = len(at), {}
     if not isinstance(fields, Mapping):
@@ -155,7 +162,7 @@ def _further(fields, at: Array, reserved) -> Rows:
             f"fields = {shown(fields)} must be a dictionary, such as {{'velocity': v}}"
         )
     for name, values in fields.items():
-        if name in reserved:
+        if name in _RESERVED:
             raise ParameterError(
                 f"field '{name}' is one that all points have; give it by its argument, or set "
                 f"points['{name}'] afterwards"

@@ -15,14 +15,14 @@ from dolfinmpm._platform.argumentchecks import truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_together
 from dolfinmpm.body import pointchanges, pointfiles, pointinput
-from dolfinmpm.body.axisymmetry import require_axis, ring
+from dolfinmpm.body.axisymmetry import require_axis
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.location import Destinations, bounds, destinations
+from dolfinmpm.body.location import Destinations, bounds
 from dolfinmpm.body.migration import migrate
 from dolfinmpm.body.pointchanges import PointChange
 from dolfinmpm.body.pointchecks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.pointsymbols import ACTIVE_CELLS, GHOST_FACETS, UNSET
-from dolfinmpm.body.pointtable import BUILT_IN, PointTable
+from dolfinmpm.body.pointtable import PointTable
 from dolfinmpm.grid.partition import Partition
 
 __all__ = [
@@ -37,7 +37,6 @@ __all__ = [
 
 # Fields that change as the body moves, and that no law needs before the first step
 MOTION = frozenset(("cell", "x", "V", "F", "l", "stress", "velocity", "acceleration"))
-_RESERVED = ("id", "cell", "tag", "moved_under", *BUILT_IN)
 
 Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
@@ -97,10 +96,8 @@ class MaterialPoints(PointTable):
         half_length: Half-lengths of the points' domains (m), shape (n, d).
         density: Mass per volume (kg/m^d), a number or shape (n,).
         tag: Part of the body: a whole number from 0, or shape (n,).
-        id: Numbers of the points, different on all ranks, shape (n,); by default in the order of
-            the ranks.
-        axisymmetric: Whether the body is axisymmetric about x[0] = 0; volumes then go around the
-            axis.
+        id: Numbers of the points, different on all ranks, shape (n,); by default by the ranks.
+        axisymmetric: Whether the body is axisymmetric about x[0] = 0; volumes then go around it.
 
     Attributes:
         strain_dim: Dimension of deformation gradients, gdim or 3.
@@ -110,6 +107,7 @@ class MaterialPoints(PointTable):
         inertia: Derivative of the body's acceleration by the increment (1/s²), a constant for UFL
             that `Newmark` and `GeneralisedAlpha` set; see `mpm.acceleration`.
         revision: Number of changes of the rows of the arrays.
+        interval: Start and length of the present step (s), or shares of a step, for laws of time.
         restored: Number of replacements of all rows by the rows of a checkpoint.
         partition: Rank that computes the points in a cell; None for the owner in DOLFINx's mesh.
         overlapping: Whether points may fill cells more than once, such as two phases of a mixture.
@@ -169,6 +167,7 @@ class MaterialPoints(PointTable):
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
         self.restored = 0
+        self.interval = 0.0, 1.0
         self.partition: Partition | None = None
         bounds(grid)  # the first call is collective
 
@@ -228,9 +227,8 @@ class MaterialPoints(PointTable):
             UnsupportedGridError: The cells are curved, or coordinates have single precision.
         """
         rows, others = pointinput.located(
-            grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric,
-            reserved=tuple(name for name in _RESERVED if name != "stress"),
-        )  # fmt: skip
+            grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric
+        )
         points = cls(grid, **rows, axisymmetric=axisymmetric)
         for name, values in others.items():
             points.add_field(name, values.shape[1:])
@@ -308,9 +306,7 @@ class MaterialPoints(PointTable):
             PointsOutsideGridError: Points are outside the grid.
             OSError: The file cannot be read.
         """
-        rows = pointfiles.from_mesh(grid, mesh, density, points, degree, tag)
-        if truth("axisymmetric", axisymmetric):
-            rows["volume"] = ring(rows["x"][:, 0], rows["volume"])
+        rows = pointfiles.from_mesh(grid, mesh, density, points, degree, tag, axisymmetric)
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     # -- changes of the body --------------------------------------------------
@@ -393,10 +389,7 @@ class MaterialPoints(PointTable):
         Raises:
             PointsOutsideGridError: Points are outside the grid.
         """
-        x = self.placement(self.configuration).x
-        to = destinations(self.grid, x, self["cell"], self.partition)
-        raise_together(self.comm, pointinput.outside(x, self["id"], to))
-        return self.migrate(to)
+        return self.migrate(pointinput.destinations_of(self))
 
     def migrate(self, to: Destinations) -> int:
         """Move points to the ranks that compute their cells; returns their number. Collective."""

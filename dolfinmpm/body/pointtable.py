@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.html import listing
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
+from dolfinmpm.body.familyids import roots_of
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.missingfields import no_field
@@ -158,7 +159,8 @@ class PointTable:
         """Count the points again after rows were added, removed or replaced. Collective."""
         ids = self.fields.read("id")
         self.total = self.comm.allreduce(len(ids), op=MPI.SUM)
-        highest = self.comm.allreduce(int(ids.max(initial=-1)), op=MPI.MAX)
+        # children of points that split have numbers above all others
+        highest = self.comm.allreduce(int(roots_of(ids).max(initial=-1)), op=MPI.MAX)
         # numbers of removed points are not used again
         self._next_id = max(self._next_id, highest + 1)
         self.revision += 1

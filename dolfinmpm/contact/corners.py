@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis import LatticeBasis, LeafBasis
 from dolfinmpm.basis.singlecellvalues import values_in_cells
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
@@ -249,10 +249,17 @@ class CornerLayout:
     def _cell_positions(self, rows: Rows) -> tuple[Array, Rows]:
         """Positions of corners, and their cells for functions, in the halo's tables."""
         basis = self._displacement.basis
-        assert isinstance(basis, LatticeBasis)
         points = self._points
         x, half = points["x"][rows], points["l"][rows]
         signs = _signs(points.gdim)[self.which]
+        if isinstance(basis, LeafBasis):
+            R = signs * (half if self.boxes else points["l0"][rows])[:, None]
+            if not self.boxes:
+                R = np.einsum("pij,pcj->pci", self._F[rows], R)
+            at = (x[:, None] + R).reshape(-1, points.gdim)
+            each = np.repeat(np.arange(len(rows)), len(signs))
+            return at, basis.cells_towards(at, x[each], half[each])
+        assert isinstance(basis, LatticeBasis)
         low, count = basis.spans(x, half)
         last = low + count - 1
         if self.boxes:
@@ -269,6 +276,10 @@ class CornerLayout:
     def _matrix_in_cells(self, x: Array, cell: Rows) -> scipy.sparse.csr_matrix:
         """Stencils of corners from the functions of given cells."""
         basis, C = self._displacement.basis, self._displacement.C
+        if isinstance(basis, LeafBasis):
+            s = basis.in_cells(x, np.asarray(cell, np.int32))
+            N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
+            return N if C is None else scipy.sparse.csr_matrix(N @ C)
         assert isinstance(basis, LatticeBasis)
         found = values_in_cells(basis, x, np.ascontiguousarray(cell, np.int32))
         # the points' own stencils have nodes in these cells

@@ -17,7 +17,6 @@ from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.contact.tunnelling import limit_of, too_far
-from dolfinmpm.grid.lattice import smallest_height
 
 __all__ = ["RigidBodies"]
 
@@ -55,7 +54,8 @@ class RigidBodies:
                 )
         self._token, self._has_moved = object(), False
         # the search for the smallest cell is collective, and only contacts need it
-        self._limit = smallest_height(grid) if contacts else 0.0
+        cells = [contact.u._dolfinmpm_space.finest_cell for contact in contacts]
+        self._limit = min(cells, default=0.0)
         self.all: list[RigidBody] = []
         #: Energy stored by the penalties of contact, now and before the first step (J).
         self.stored = 0.0

@@ -28,7 +28,6 @@ from dolfinmpm.contact.protocols import CornerFields
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.grid.lattice import smallest_height
 
 __all__ = ["RigidContact", "contact"]
 
@@ -104,7 +103,7 @@ class RigidContact(Term):
         points.add_field(names.modulus, (), "Pa")
         if self._cell is None:
             # a regridded grid must not change the stiffness of the contact
-            self._cell = smallest_height(points.grid)
+            self._cell = self.u._dolfinmpm_space.finest_cell
         E = points[names.modulus]
         new = E == 0.0
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):

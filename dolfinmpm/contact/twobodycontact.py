@@ -13,7 +13,7 @@ import ufl
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.assembly.term import Term, as_form
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
@@ -226,7 +226,7 @@ def contact_between(
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
-        UnsupportedGridError: The grid is not rectangular.
+        UnsupportedGridError: The grid is not rectangular, or a space is refined.
 
     Two blocks, one on the other:
 
@@ -270,6 +270,11 @@ def contact_between(
     for one, test in zip(_pair("u", u), _pair("v", v)):
         check_displacement(points, u=one, v=test)
     spaces: list[Any] = [getattr(one, "_dolfinmpm_space", None) for one in u]
+    if any(space is not None and space.refinement is not None for space in spaces):
+        raise UnsupportedGridError(
+            "contact_between is not available on refined spaces: leave refine out of the spaces of "
+            "bodies that touch, or let a mpm.RigidBody touch them"
+        )
     tags = [getattr(space, "tags", None) for space in spaces]
     own = [set(one or ()) for one in tags]
     if u[0] is u[1] or not all(own) or own[0] & own[1]:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.basis import LatticeBasis, Placement, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import concatenated, selected, spread
 from dolfinmpm.body.points import MaterialPoints
@@ -32,15 +32,14 @@ from dolfinmpm.cut.activation import (
     TermsOverBoundary,
 )
 from dolfinmpm.cut.activecells import active_cells, active_nodes, entities
-from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
-from dolfinmpm.cut.cellaverages import layers_needed
+from dolfinmpm.cut.aggregation import mesh_roots
 from dolfinmpm.cut.couplings import KeptCouplings, lists_of, pairs_of
 from dolfinmpm.cut.essentialconditions import EssentialConditions
+from dolfinmpm.cut.overlap import overlapping_bases
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.regions import active_boundary_regions, active_region
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.grid.partition import Partition
 
 __all__ = ["activate", "active_on_grid"]
 
@@ -117,8 +116,22 @@ def _boundaries(
 
 
 def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
-    """Active nodes owned by this rank, in the numbering of the field's space."""
+    """Active nodes owned by this rank, in the numbering of the field's space.
+
+    With leaves these are the corners of the grid's cells that contain active leaves.
+    """
     basis, base = field.basis, field.space.basis
+    if isinstance(basis, LeafBasis):
+        assert isinstance(base, LatticeBasis)
+        cells = np.flatnonzero(field.cells)
+        roots = np.unique(basis.leaves.low[basis.leaf[cells]] >> basis.leaves.tree.levels, axis=0)
+        flags, table = np.zeros(base.nodes.size, bool), base.halo.node_table
+        for corner in np.ndindex(*(2,) * roots.shape[1]):
+            at = roots - base.halo.origin + np.array(corner, np.int32)
+            at = at[np.all((at >= 0) & (at < table.shape), axis=1)]
+            found = table[tuple(at.T)]
+            flags[found[found >= 0]] = True
+        return np.flatnonzero(base.nodes.share_flags(flags)[: base.nodes.owned]).astype(np.int32)
     if basis.grid_nodes is None:
         return field.active[field.active < basis.nodes.owned]
     flags = np.zeros(basis.nodes.size, bool)
@@ -197,7 +210,7 @@ class _Draft:
     @property
     def key(self) -> Hashable:
         """Key that is equal for fields with the same points, markers and basis."""
-        return id(self.field.space.basis), self.field.space.tags, tuple(self.has_markers.values())
+        return id(self.basis), self.field.space.tags, tuple(self.has_markers.values())
 
     def stencils(self, where: Placement, sets: dict[int, ActiveBoundary]) -> Stencils:
         """Stencils in the basis; points outside the field get empty stencils. Collective.
@@ -239,7 +252,7 @@ class _Builder:
         # markers activate cells like points without volume
         where = concatenated([bodies, *(one.seen for one in of_all.values())])
         averages = any(region.averages for region in terms.regions)
-        bases = _bases(fields, where, averages, points.partition, terms.layers)
+        bases = overlapping_bases(fields, where, averages, points.partition, terms.layers)
         self._drafts = [self._draft(k, *both) for k, both in enumerate(zip(fields, bases))]
         self.boundaries = of_all
         if not all(of.boundary.activates for of in terms.boundaries):
@@ -308,7 +321,7 @@ class _Builder:
         """Add roots on other ranks to bases, for grids that are not rectangular. Collective."""
         for draft in self._drafts:
             constraining, basis = draft.field.constraining, draft.basis
-            if constraining is None or isinstance(basis, LatticeBasis):
+            if constraining is None or not isinstance(basis, LinearBasis):
                 continue
             filled = constraining.measure(self._where, draft.full_stencils, basis)
             draft.roots = mesh_roots(basis, draft.nodes, filled, constraining.level(basis.degree))
@@ -328,7 +341,8 @@ class _Builder:
         if C is not None and field.stabilisation.kind == "weak-aggregation":
             owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
             radius = basis.node_coordinates()[:, 0] if self._points.axisymmetric else None
-            entries = field.stabilisation.penalty(field.space, C, owned, radius)
+            sizes = basis.node_sizes() if isinstance(basis, LeafBasis) else None
+            entries = field.stabilisation.penalty(field.space, C, owned, radius, sizes)
             self.penalties.append(Blocks(draft.number, draft.number, *entries))
             C = None
         level = None if C is None or constraining is None else constraining.level(basis.degree)
@@ -337,6 +351,10 @@ class _Builder:
 
             own = sparse.csr_matrix(field.prolongate(seen, nodes))
             C = own if C is None else C @ own
+        if isinstance(basis, LeafBasis) and basis.hangs.any():
+            H = basis.hanging
+            # a node may follow a root with hanging corners
+            C = H if C is None else H @ C @ H
         to_grid, stencils = extraction(field.space, basis), seen
         if C is not None:
             prolongation = Prolongation(C)
@@ -371,27 +389,3 @@ class _Builder:
             stencils=part(field.stencils, 0, own),
             of_markers=of_markers,
         )
-
-
-def _bases(
-    fields: Sequence[Field],
-    where: Placement,
-    averages: bool,
-    partition: Partition | None,
-    least: int = 0,
-) -> list[Basis]:
-    """The bases, with the overlap for domains, roots and cell means. Collective."""
-    reach = {id(f.space.basis): f.space.basis for f in fields}
-    reaches = {key: basis.reach(where) for key, basis in reach.items()}
-    layers: dict[int, int] = {}
-    # cell means use the nodes of all fields around the cells of the first field's domains
-    span = max(count for _, count in reaches.values())
-    for one in fields:
-        basis = one.space.basis
-        need = max(reaches[id(basis)][0], least)
-        if averages:
-            need = max(need, layers_needed(span, basis))
-        if one.constrains_nodes:
-            need += SEARCH_RADIUS + basis.degree + 1
-        layers[id(basis)] = max(layers.get(id(basis), 0), need)
-    return [f.space.basis.grown(layers[id(f.space.basis)], partition) for f in fields]

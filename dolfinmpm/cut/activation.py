@@ -12,7 +12,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.points import GHOST_FACETS
@@ -46,7 +46,7 @@ __all__ = [
     "with_constraints",
 ]
 
-Basis = LatticeBasis | LinearBasis
+Basis = LatticeBasis | LinearBasis | LeafBasis
 Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], "sparse.spmatrix"]
 Entities = dict[int, npt.NDArray[np.int32]]
 

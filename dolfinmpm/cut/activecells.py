@@ -10,8 +10,9 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.compat import ghosted_partitioner
 from dolfinmpm._platform.errors import UnsupportedGridError
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Stencils
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
+from dolfinmpm.cut.leaffacets import ghost_facets_of_leaves
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 
@@ -165,7 +166,7 @@ def ghost_facets(grid: Mesh) -> GhostFacets:
 
 
 def entities(
-    grid: Mesh, moving: set[int], seen: Stencils, basis: LatticeBasis | LinearBasis
+    grid: Mesh, moving: set[int], seen: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis
 ) -> dict[int, npt.NDArray[np.int32]]:
     """Ghost facets and active cells of a field for integrals, by subdomain id. Collective.
 
@@ -179,6 +180,8 @@ def entities(
     if not moving:
         return found
     cells = active_cells(seen, basis.cells)
+    if isinstance(basis, LeafBasis):
+        return {GHOST_FACETS: ghost_facets_of_leaves(cells, basis)}
     tables = ghost_facets(grid) if GHOST_FACETS in moving else None
     if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
         found[GHOST_FACETS] = tables.select_coarse(cells, basis)

@@ -9,23 +9,25 @@ constrained to a root cell: the polynomial of the root cell is continued to the 
 A linear function has too little support if all its active cells are filled to less than a
 threshold. The two stabilisations then differ in the cells that may be roots. A spline reaches over
 several cells, and may have a very small share in the only full cell. So the criterion of a spline
-is the share of its integral inside the body. Then both stabilisations are the same.
+is the share of its integral inside the body. Then both stabilisations are the same. Bodies that are
+too small or too thin for a well-filled cell of splines have their best cells as roots.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.basis import LatticeBasis, LinearBasis
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.basis.bspline import extension_weights
 from dolfinmpm.basis.cells import pull_back
+from dolfinmpm.cut.leafaggregation import leaf_constraints
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -34,6 +36,8 @@ __all__ = ["SEARCH_RADIUS", "MeshRoots", "constraint_matrix", "mesh_roots"]
 
 # Cells around a node in which its root is searched.
 SEARCH_RADIUS = 4
+# Share of the best cell's least function that is enough where no cell is filled well
+_SLIGHT = 0.1
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -120,7 +124,7 @@ def _roots(
                 break
 
 
-@cache
+@functools.cache
 def _growth(degree: int):
     """Logarithm of the norm of the weights that continue by k functions, k = 0, 1, ..."""
     line = np.linspace(0.0, 1.0, 2 * (SEARCH_RADIUS + degree) + 6).astype(np.float64)
@@ -133,7 +137,7 @@ def _growth(degree: int):
 def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, extended: bool):
     """The nodes with enough support, and the cells of the halo's table that may be roots."""
     halo, degree = basis.halo, basis.degree
-    cells, table = halo.cell_table.ravel(), halo.node_table
+    cells = halo.cell_table.ravel()
     shape = np.array(halo.cell_table.shape, np.int64)
     if degree == 1:
         known = cells >= 0
@@ -148,11 +152,29 @@ def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, exten
         # share of the last function if the body ends in a cell filled to the threshold
         least = threshold ** (degree + 1) / math.factorial(degree + 1)
         inner = filled >= least * (1 - 1e-9)
-    of_node = np.where(table >= 0, inner[table], False)
-    whole = np.ones(halo.cell_table.shape, bool)
-    for corner in np.ndindex(*(degree + 1,) * shape.size):
-        whole &= of_node[tuple(slice(c, c + n) for c, n in zip(corner, shape))]
-    return inner, whole.ravel()
+        inner[_best_nodes(basis, filled, least * (1 - 1e-9))] = True
+    return inner, _lowest(basis, inner).ravel()
+
+
+def _best_nodes(basis: LatticeBasis, filled, least: float):
+    """Nodes of the best cells of small bodies, where no cell has enough support nearby."""
+    from scipy.ndimage import maximum_filter
+
+    lowest = _lowest(basis, filled)
+    best = maximum_filter(lowest, 2 * SEARCH_RADIUS + 1, mode="constant")
+    chosen = np.argwhere((best < least) & (lowest > 0) & (lowest >= _SLIGHT * best))
+    corners = np.argwhere(np.ones((basis.degree + 1,) * lowest.ndim))
+    return basis.halo.node_table[tuple((chosen[:, None] + corners).reshape(-1, lowest.ndim).T)]
+
+
+def _lowest(basis: LatticeBasis, values):
+    """Lowest value at the nodes of each cell of the halo's table, 0 where a node is unknown."""
+    table = basis.halo.node_table
+    found = np.where(table >= 0, values[table], values.dtype.type(0))
+    for axis, cells in enumerate(basis.halo.cell_table.shape):
+        shifts = (np.arange(k, k + cells) for k in range(basis.degree + 1))
+        found = functools.reduce(np.minimum, [found.take(shift, axis) for shift in shifts])
+    return found
 
 
 def _lattice_constraints(basis: LatticeBasis, nodes, filled, threshold: float, extended: bool):
@@ -171,7 +193,7 @@ def _lattice_constraints(basis: LatticeBasis, nodes, filled, threshold: float, e
     has_root = found[:, 0] >= 0
     outer, found = outer[has_root], found[has_root]
 
-    @cache
+    @functools.cache
     def along(d: int, cell: int, function: int):
         return extension_weights(lattice.lines[d], degree, cell, function)
 
@@ -265,7 +287,7 @@ def _mesh_constraints(basis: LinearBasis, roots: MeshRoots):
 
 
 def constraint_matrix(
-    basis: LatticeBasis | LinearBasis,
+    basis: LatticeBasis | LeafBasis | LinearBasis,
     nodes: npt.NDArray[np.int32],
     filled: npt.NDArray[np.float64],
     threshold: float,
@@ -297,6 +319,8 @@ def constraint_matrix(
     size = basis.nodes.size
     if isinstance(basis, LatticeBasis):
         found = _lattice_constraints(basis, nodes, filled, threshold, extended)
+    elif isinstance(basis, LeafBasis):
+        found = leaf_constraints(basis, nodes, filled, threshold, extended)
     else:
         assert roots is not None
         found = _mesh_constraints(basis, roots)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from dolfinx.la import InsertMode
 from mpi4py import MPI
 
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import lattice_basis
 from dolfinmpm.basis.stencils import add_weighted
 from dolfinmpm.cut.fractions import domain_shares
@@ -38,6 +38,7 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+Basis = LatticeBasis | LeafBasis | LinearBasis
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -80,14 +81,12 @@ def _lower_splines(grid, degree: int, averaged: bool, coarsen: int) -> LatticeBa
     return lattice_basis(grid, degree, averaged, coarsen)
 
 
-def _over_splines(basis: LatticeBasis | LinearBasis) -> bool:
+def _over_splines(basis: Basis) -> bool:
     """Whether averages are taken over splines one degree lower, instead of cells."""
     return basis.degree > 1
 
 
-def sharing_stencils(
-    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis
-) -> Stencils:
+def sharing_stencils(where: Placement, stencils: Stencils, basis: Basis) -> Stencils:
     """Stencils with the cells, or the splines one degree lower, of the points. Collective.
 
     Args:
@@ -100,14 +99,14 @@ def sharing_stencils(
     return _lower(basis).stencils(where)
 
 
-def _lower(basis: LatticeBasis | LinearBasis) -> LatticeBasis:
+def _lower(basis: Basis) -> LatticeBasis:
     """Splines one degree lower, with the same overlap of ranks. Collective."""
     assert isinstance(basis, LatticeBasis)
     lower = _lower_splines(basis.grid, basis.degree - 1, basis.averaged, basis.coarsen)
     return lower.grown(basis.halo.layers, basis.partition)
 
 
-def shares_of(where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis) -> Shares:
+def shares_of(where: Placement, stencils: Stencils, basis: Basis) -> Shares:
     """Shares of the points in cells, or in splines one degree lower. Collective.
 
     Args:
@@ -137,7 +136,7 @@ def numbering(basis: LatticeBasis) -> tuple[Numbering, npt.NDArray[np.int32]]:
     return lower.nodes, lower.halo.node_ijk
 
 
-def layers_needed(span: int, basis: LatticeBasis | LinearBasis) -> int:
+def layers_needed(span: int, basis: Basis) -> int:
     """Layers of cells around the cells of a rank that couplings by averages need.
 
     The rank that owns a cell, or a lower spline, must know all nodes of the points in the cell.
@@ -172,7 +171,7 @@ class CellAverages:
         volume: Array,
         where: Placement,
         stencils: Stencils,
-        basis: LatticeBasis | LinearBasis,
+        basis: Basis,
     ):
         self.shares = shares = shares_of(where, stencils, basis)
         cells, of = shares.cells, shares.of

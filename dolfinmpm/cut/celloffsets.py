@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.la import InsertMode
 
-from dolfinmpm.basis import LatticeBasis, Placement
+from dolfinmpm.basis import LatticeBasis, LeafBasis, Placement
 from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.fractions import fill_fractions
 
@@ -49,6 +49,10 @@ def cell_offsets(where: Placement, field: ActiveField) -> Array:
             sums, volume = _with_roots(where, field, sums)
             size *= np.clip(volume[cell], 1.0, 2.0)
         mine = sums[cell]
+    elif isinstance(basis, LeafBasis):
+        cell = basis.cells_at(where.x).astype(np.int64)
+        size = basis.cell_sizes()[cell]
+        mine = _summed(basis, cell, moments)[cell]
     else:
         h = field.space.cell_size
         size = (
@@ -59,7 +63,7 @@ def cell_offsets(where: Placement, field: ActiveField) -> Array:
     return np.hstack([where.x - mine[:, 1:] / mine[:, :1], size[:, None]])
 
 
-def _summed(basis: LatticeBasis, cell: Ints, values: Array) -> Array:
+def _summed(basis: LatticeBasis | LeafBasis, cell: Ints, values: Array) -> Array:
     """Sums over cells of all ranks, shape (cells, columns). Collective."""
     shared = basis.cells.vector(values.shape[1])
     sums = shared.array.reshape(-1, values.shape[1])

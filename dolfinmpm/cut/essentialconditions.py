@@ -12,13 +12,14 @@ from dolfinx.la import InsertMode
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ConflictingConditionsError, raise_together
-from dolfinmpm.basis import LatticeBasis, LinearBasis
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
+from dolfinmpm.cut.leafconditions import on_leaves
 
 __all__ = ["EssentialConditions", "renumbered"]
 
-Basis = LatticeBasis | LinearBasis
+Basis = LatticeBasis | LinearBasis | LeafBasis
 Flags = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]
 
@@ -88,7 +89,9 @@ class EssentialConditions:
     def follow(self) -> None:
         """Move conditions to the present positions of their places. Collective."""
         now = [condition.now() for condition in self.conditions]
-        if any(a is not b for a, b in zip(now, self.conditions)):
+        # on leaves the places choose other nodes than on the grid
+        leaves = self.follows and any(space.refinement is not None for space in self._spaces)
+        if leaves or any(a is not b for a, b in zip(now, self.conditions)):
             self.conditions[:] = now
             self._fixed.clear()
             self._still.clear()
@@ -129,11 +132,13 @@ class EssentialConditions:
         fixed, values = [], []
         error: Exception | None = None
         for space, basis in zip(self._spaces, bases):
-            shape = (space.basis.nodes.size, space.components)
+            leaves = isinstance(basis, LeafBasis)
+            base = basis if leaves else space.basis
+            shape = (base.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
-            error = self._apply(space, share, flags, numbers) or error
-            fixed.append(renumbered(flags, space.basis, basis))
-            values.append(renumbered(numbers, space.basis, basis))
+            error = self._apply(space, base, share, flags, numbers) or error
+            fixed.append(flags if leaves else renumbered(flags, base, basis))
+            values.append(numbers if leaves else renumbered(numbers, base, basis))
         raise_together(self._spaces[0].grid.comm, error)
         while len(self._fixed) > _KEPT:
             del self._fixed[next(iter(self._fixed))]
@@ -144,15 +149,20 @@ class EssentialConditions:
             self._still[key] = values
         return fixed, values
 
-    def _apply(self, space: Space, share: float, flags, values) -> Exception | None:
-        """Set masks and values at the own nodes of this rank; returns a contradiction or None."""
-        basis = space.basis
+    def _apply(self, space: Space, basis: Basis, share, flags, values) -> Exception | None:
+        """Set masks and values at the own nodes of this rank; returns a contradiction or None.
+
+        On leaves they are set at all nodes that this rank knows.
+        """
         owner = np.full(flags.shape, -1, np.int32)
         error = None
+        limit = basis.nodes.size if isinstance(basis, LeafBasis) else basis.nodes.owned
         for number, condition in enumerate(self.conditions):
             if condition.space is not space:
                 continue
-            column, own = condition.component, condition.nodes < basis.nodes.owned
+            if isinstance(basis, LeafBasis):
+                condition = on_leaves(condition, basis)
+            column, own = condition.component, condition.nodes < limit
             nodes = condition.nodes[own]
             part = 1.0 if condition.kind == "value" else share
             value = np.broadcast_to(part * condition.values, condition.nodes.shape)[own]

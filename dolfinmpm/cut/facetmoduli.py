@@ -22,7 +22,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm.basis import LatticeBasis, Placement
+from dolfinmpm.basis import LatticeBasis, LeafBasis, Placement
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.fractions import cell_sums
@@ -108,7 +108,15 @@ def _radii(grid) -> Array:
 
 def _rings(field: ActiveField, facets: npt.NDArray[np.int32]) -> Array:
     """2π r of facets, shape (facets, 1)."""
-    radii, basis = _radii(field.space.grid), field.basis
+    basis = field.basis
+    if isinstance(basis, LeafBasis):
+        low, high = basis.cell_corners()
+        small = facets[:, 0]
+        # a facet normal to the axis is at the middle radius of the smaller leaf
+        radius = 0.5 * (low[small, 0] + high[small, 0])
+        side = np.where(facets[:, 1] % 2 == 1, high[small, 0], low[small, 0])
+        return ring(np.where(facets[:, 1] < 2, side, radius)[:, None], 1.0)
+    radii = _radii(field.space.grid)
     if isinstance(basis, LatticeBasis) and basis.coarsen > 1:
         # parts of a coarse facet have one penalty
         line, of = basis.lattice.lines[0], basis.lattice.cell_ijk[:, 0]

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.la import InsertMode
 
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.grid.lattice import cell_volumes
@@ -62,15 +62,15 @@ def _fill_shares(order, groups, cell_start, cells, low, high, x, half, share_sta
                 shares[start + k] /= total
 
 
-def _boxes(basis: LatticeBasis | LinearBasis) -> tuple[Array, Array]:
+def _boxes(basis: LatticeBasis | LinearBasis | LeafBasis) -> tuple[Array, Array]:
     """Lower and upper corners of the local cells (m); empty if points are in one cell only."""
-    if not isinstance(basis, LatticeBasis):
+    if isinstance(basis, LinearBasis):
         return (np.empty((0, basis.grid.geometry.dim)),) * 2
     return basis.cell_corners()
 
 
 def domain_shares(
-    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis
+    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis
 ) -> tuple[npt.NDArray[np.int64], Array]:
     """Shares of the points' domains in cells. The shares of a point sum to 1.
 
@@ -92,7 +92,10 @@ def domain_shares(
 
 
 def cell_sums(
-    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis, amounts: Array
+    where: Placement,
+    stencils: Stencils,
+    basis: LatticeBasis | LinearBasis | LeafBasis,
+    amounts: Array,
 ) -> Array:
     """Sum of amounts at the points over each local cell, shape (cells,). Collective.
 
@@ -116,7 +119,7 @@ def cell_sums(
 
 
 def fill_fractions(
-    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis
+    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis
 ) -> Array:
     """Share of each local cell's volume that material points fill, shape (cells,). Collective.
 
@@ -126,12 +129,25 @@ def fill_fractions(
         basis: The basis of the stencils.
     """
     low, high = _boxes(basis)
-    lattice = isinstance(basis, LatticeBasis)
-    volumes = np.prod(high - low, axis=1) if lattice else cell_volumes(basis.grid)
+    boxes = not isinstance(basis, LinearBasis)
+    volumes = np.prod(high - low, axis=1) if boxes else cell_volumes(basis.grid)
     return cell_sums(where, stencils, basis, where.volume) / volumes
 
 
-def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis) -> Array:
+def _integrals_on_leaves(basis: LeafBasis) -> Array:
+    """Integral of each function over the leaves (m^d), shape (nodes,). Collective."""
+    low, high = basis.cell_corners()
+    shared = basis.nodes.vector()
+    own, each = basis.cells.owned, basis.corner_nodes.shape[1]
+    volumes = np.repeat(np.prod(high - low, axis=1)[:own] / each, each)
+    np.add.at(shared.array, basis.corner_nodes[:own].ravel(), volumes)
+    if basis.nodes.comm.size > 1:
+        shared.scatter_reverse(InsertMode.add)
+        shared.scatter_forward()
+    return shared.array
+
+
+def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | LeafBasis) -> Array:
     """Share of each function's integral in the body, shape (nodes,). Collective.
 
     Args:
@@ -147,6 +163,8 @@ def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis) ->
     if basis.nodes.comm.size > 1:
         shared.scatter_reverse(InsertMode.add)
         shared.scatter_forward()
+    if isinstance(basis, LeafBasis):
+        return shared.array / _integrals_on_leaves(basis)
     whole = np.ones(basis.nodes.size)
     for d, line in enumerate(basis.lattice.lines):
         whole *= integrals(line, basis.degree)[basis.halo.node_ijk[:, d]]

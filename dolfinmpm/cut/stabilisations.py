@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -233,6 +233,7 @@ class Stabilisation:
         C: sparse.csr_matrix,
         nodes,
         radius: npt.NDArray[np.float64] | None = None,
+        sizes: npt.NDArray[np.float64] | None = None,
     ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """Weak aggregation: factor E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the following nodes.
 
@@ -247,7 +248,7 @@ class Stabilisation:
         from scipy import sparse
 
         assert self.E is not None
-        size = mean_size(space.cell_size)
+        size: Any = mean_size(space.cell_size) if sizes is None else sizes
         own = np.zeros(C.shape[0], bool)
         own[nodes] = True
         D = sparse.identity(C.shape[0], format="csr") - C

@@ -80,6 +80,7 @@ def critical_step(
     declarations: Sequence[Any],
     mass: str,
     tied: bool = False,
+    sizes: Array | None = None,
 ) -> float:
     """min h / (c + |v|) times the factor of the basis (s). Collective.
 
@@ -89,16 +90,21 @@ def critical_step(
         declarations: Laws in the form.
         mass: "lumped" or "consistent".
         tied: Whether constraints C act between nodes.
+        sizes: Size of the smallest cell at each point (m), shape (n,), for cells of several
+            sizes; None for the smallest cell of the grid.
 
     Raises:
         ParameterError: No law has a stiffness.
     """
-    h = smallest_height(points.grid)
     speed = wave_speed(points, declarations)
     v = points.fields.read("velocity")
     # NumPy's norm of rows takes several times as long
     speed = speed + np.sqrt(np.einsum("pi,pi->p", v, v))
     fastest = points.comm.allreduce(float(speed.max(initial=0.0)), op=MPI.MAX)
+    h = smallest_height(points.grid)
+    if sizes is not None:
+        shortest = (speed / sizes).max(initial=0.0)
+        h = fastest / max(points.comm.allreduce(float(shortest), op=MPI.MAX), 1e-300)
     if not math.isfinite(fastest) or fastest <= 0.0:
         raise ParameterError(
             f"the fastest wave in the body has {fastest:g} m/s, so there is no critical step: "

@@ -270,7 +270,14 @@ class Explicit(MovingBody, Problem):
         tied = (
             field.stabilisation.kind in ("aggregation", "extended") or field.prolongate is not None
         )
-        found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
+        sizes, refinement = None, field.space.refinement
+        if refinement is not None:
+            where = self.points.placement(field.space.configuration)
+            leaves = refinement.leaves_for(where, field.space.basis.averaged)
+            sizes, tied = leaves.smallest(where.x, where.half), True
+        found = critical_step(
+            self.points, field.space.basis, declarations, self.terms.kind, tied, sizes
+        )
         # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
         held = self._loop.held() if isinstance(self._loop, GeneralSteps) else Stiffness()

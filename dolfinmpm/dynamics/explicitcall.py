@@ -14,6 +14,7 @@ from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time
 from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.snapshot import CallMemory
+from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.step import Step
 
@@ -84,6 +85,8 @@ class ExplicitCall:
         touched = memory.touched(problem.points)
         if touched:
             raise_together(problem.comm, problem.points.fault())
+        adapted = adapt(problem)
+        self._record.split, self._record.merged = adapted.split, adapted.merged
         self._record.migrated += balance(problem.points)
         if touched & _KINETIC or not problem.ledger.started:
             problem.ledger.begin()

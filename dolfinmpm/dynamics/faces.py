@@ -18,12 +18,13 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
-from dolfinmpm.basis.conditions import Condition, prescribed, side_of
+from dolfinmpm.basis.conditions import Condition, prescribed
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.grid.lattice import require_lattice
+from dolfinmpm.grid.sides import side_of
 
 __all__ = [
     "Face",

@@ -23,6 +23,7 @@ from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["FusedLoads", "Laws", "why_not"]
@@ -54,6 +55,8 @@ def why_not(
     """
     if not isinstance(field.space.basis, LatticeBasis):
         return "the grid is not rectangular"
+    if field.space.refinement is not None:
+        return "the space is refined"
     if mass != "lumped":
         return "the mass is consistent"
     if not settings.plain:
@@ -90,7 +93,7 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         return "loads over cells or facets of the grid"
     kinds = {_kind(d) for d in declarations}
     if len(kinds) != 1 or None in kinds:
-        return "laws have several strain formulations, or an unsupported one"
+        return "laws have several strain formulations, or an unsupported one, or are UMATs"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "F-bar acts in laws by tags"
     if any(d.u is not space.increment for d in declarations):
@@ -121,6 +124,8 @@ def _why_not_the_form(form: WeakForm) -> str | None:
 def _kind(declaration: Declaration) -> int | None:
     if isinstance(declaration.law, NeoHookean):
         return NEO
+    if isinstance(declaration.law, UMAT):
+        return None
     return {"large": LAW, "small": SMALL, "jaumann": JAUMANN}.get(declaration.strain)
 
 

@@ -226,6 +226,17 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
 
 @once_per_grid
 @collective
+def leaf_size(grid: Mesh) -> fem.Function:
+    """Size of the cells of a refined field, for UFL (m). Collective.
+
+    Its values are the sizes of the grid's own cells. Terms over facets of leaves replace them by
+    the size of the smaller leaf.
+    """
+    return _as_function(grid, cell_volumes(grid) ** (1 / grid.topology.dim))
+
+
+@once_per_grid
+@collective
 def coarse_cell_size(grid: Mesh, by: int) -> fem.Constant | fem.Function:
     """Size of the cells of `Lattice.coarsened` (m), like `cell_size`. Collective."""
     size = cell_size(grid)

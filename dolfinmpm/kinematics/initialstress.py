@@ -132,8 +132,9 @@ def write_stress(
     """
     points, rows = formulation.points, formulation.rows if rows is None else rows
     sigma = call_together(points.comm, lambda: _given(formulation, stress, rows))
-    state = call_together(points.comm, lambda: _state(formulation, sigma, rows))
-    points[formulation.state][rows] = state
+    if not formulation.from_stress:
+        state = call_together(points.comm, lambda: _state(formulation, sigma, rows))
+        points[formulation.state][rows] = state
     points["stress"][rows] = sigma
     points["moved_under"][rows] = MARKS[formulation.strain] + GIVEN
 
@@ -153,6 +154,8 @@ def take_stress(formulation: StrainFormulation, law: str) -> None:
             symmetric, or has shear out of the dimensions of the points.
         StateError: The law has no elastic strain for the stress.
     """
+    if formulation.from_stress:
+        return
     points, rows = formulation.points, formulation.rows
     marks = points.fields.read("moved_under")[rows]
     still, given = rows[marks == 0], rows[marks >= GIVEN]

@@ -23,14 +23,17 @@ from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
+from dolfinmpm.kinematics.incremental import Incremental
 from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.largestrain import LargeStrain
 from dolfinmpm.kinematics.smallstrain import SmallStrain
 from dolfinmpm.kinematics.strainformulation import StrainFormulation
 from dolfinmpm.kinematics.strainhistory import MARKS, check_history
+from dolfinmpm.kinematics.strainhistory import UMAT as UMAT_MARK
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.materials.umat import UMAT
 
 __all__ = ["flux", "momentum", "set_stress", "strain_formulation", "stress"]
 
@@ -44,7 +47,7 @@ _FORMULATIONS: dict[str, type[StrainFormulation]] = {
 
 
 def strain_formulation(
-    law: Law | NeoHookean,
+    law: Law | NeoHookean | UMAT,
     points: MaterialPoints,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
@@ -62,6 +65,8 @@ def strain_formulation(
     """
     check_points(points)
     strain = choice("strain", strain, _FORMULATIONS)
+    if isinstance(law, UMAT):
+        return Incremental(law, points, strain, as_tags(tag))
     if not isinstance(law, Law) or not law.has_kernel:
         raise ParameterError(
             f"law = {shown(law)} has no kernel of principal strains; use a law such as "
@@ -135,15 +140,17 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
 
     def bind() -> None:
-        check_history(points, inner.rows, strain, str(declaration))
+        if not inner.from_stress:
+            check_history(points, inner.rows, strain, str(declaration))
         inner.bind()
         take_stress(inner, str(declaration))
         if isinstance(outer, FBar):
             outer.bind()
 
+    mark = UMAT_MARK if inner.from_stress else strain
     declaration = Declaration(
         points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
-        operator=operator, updates={}, mark=MARKS[strain], bind=bind,
+        operator=operator, updates={}, mark=MARKS[mark], bind=bind,
         parameters=lambda: inner.parameters(inner.rows),
         elastic=ElasticResponse(inner.energy, inner.stiffness, inner.moduli),
         weaken=None if law.strengths == () else inner.weaken,
@@ -153,7 +160,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
 
 
 def momentum(
-    law: Law | NeoHookean,
+    law: Law | NeoHookean | UMAT,
     points: MaterialPoints,
     u: fem.Function,
     v: Any,
@@ -234,7 +241,7 @@ def momentum(
 
 
 def stress(
-    law: Law | NeoHookean,
+    law: Law | NeoHookean | UMAT,
     points: MaterialPoints,
     u: fem.Function,
     *,
@@ -297,7 +304,7 @@ def stress(
 
 
 def flux(
-    law: Law | NeoHookean,
+    law: Law | NeoHookean | UMAT,
     points: MaterialPoints,
     u: fem.Function,
     strain: str = "large",
@@ -328,7 +335,7 @@ def flux(
 
 @collective(local=("stress",))
 def set_stress(
-    law: Law | NeoHookean,
+    law: Law | NeoHookean | UMAT,
     points: MaterialPoints,
     stress: StressField,
     *,

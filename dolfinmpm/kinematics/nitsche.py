@@ -40,7 +40,6 @@ from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.lawterms import flux
 from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
@@ -109,11 +108,12 @@ class WeakCondition:
         k = self.boundary.markers[self.stiffness]
         return k if self.on is None else k * self.boundary.markers[self.on]
 
-    def prepare(self, rows: npt.NDArray[np.integer]) -> None:
+    def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the law's moduli, and a penalty that is given or in units of M/h.
 
         Args:
             rows: Markers in active cells.
+            sizes: Sizes h of the cells at the markers (m), shape (markers,).
         """
         markers = self.boundary.markers
         if self.moduli is not None:
@@ -130,7 +130,7 @@ class WeakCondition:
             assert self.declaration is not None
             rows = self.declaration.rows
             moduli = self.declaration.elastic.moduli()[:, 0]
-            markers[self.stiffness][rows] = self.penalty * moduli / largest_cell(markers.grid)
+            markers[self.stiffness][rows] = self.penalty * moduli / sizes[rows]
 
     def gaps(self) -> npt.NDArray[np.float64]:
         """Deviation from the prescribed displacement at the markers of this rank (m)."""

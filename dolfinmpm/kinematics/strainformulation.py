@@ -47,6 +47,7 @@ class StrainFormulation:
             Cauchy stress.
         state: Name of the field of the elastic strain.
         rest: Value of this field without elastic strain.
+        from_stress: True if the state of the law is the field `stress` itself.
 
     Args:
         law: Constitutive law.
@@ -59,6 +60,7 @@ class StrainFormulation:
     state: str
     rest: tuple[float, ...]
     functions: type[StrainFunctions]
+    from_stress = False
 
     def __init__(self, law: Law, points: MaterialPoints, tags: Tags = None):
         self.law = law
@@ -82,10 +84,7 @@ class StrainFormulation:
         self._parameters.adopt()
         points, rows = self.points, self.rows
         points.add_field(self.state, (6,), "", self.rest)
-        parameters = self.parameters(rows)
-        first = np.broadcast_to(
-            self.law.first_internal(parameters), (len(rows), len(self.law.internal))
-        )
+        first = np.broadcast_to(self.first_internal(rows), (len(rows), len(self.law.internal)))
         for k, (name, (unit, _)) in enumerate(self.law.internal.items()):
             # whether a point has a value already: laws differ in their first values
             known = f"has_{name}"
@@ -96,6 +95,10 @@ class StrainFormulation:
             new = points[known][rows] == 0
             points[name][rows[new]] = first[new, k]
             points[known][rows] = 1
+
+    def first_internal(self, rows: Rows) -> Array:
+        """First values of the internal variables at some points, shape (1 or rows, variables)."""
+        return self.law.first_internal(self.parameters(rows))
 
     def parameters(self, rows: Rows | slice) -> Array:
         """The law's parameters at some points, shape (1, parameters).
@@ -120,21 +123,6 @@ class StrainFormulation:
     def keeps(self) -> int:
         """How many numbers per point are kept between residual and tangent; see `KeepingLaw`."""
         return kept_numbers(self.points.strain_dim, len(self.law.internal))
-
-    def _run(
-        self, operand: Array, rows: Rows, kept: KeptTangents | None, S, A, new, internal, sigma
-    ) -> int:
-        points, compiled = self.points, self._compiled
-        ending = len(new) > 0
-        values, known = (
-            (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
-        )
-        return self._kernel(
-            self.law.address, self.parameters(rows), compiled.programs(len(A) > 0, ending),
-            compiled.checks, compiled.logarithmic, np.ascontiguousarray(operand),
-            np.ascontiguousarray(rows, np.int32), points["F"], points[self.state],
-            self.internal(rows), values, known, S, A, new, internal, sigma,
-        )  # fmt: skip
 
     def principal(self, rows: Rows) -> Array:
         """Elastic principal strains of some points (-), shape (rows, 3)."""
@@ -171,12 +159,28 @@ class StrainFormulation:
         tangent: Array | None,
         rows: Rows,
         kept: KeptTangents | None = None,
+        end: tuple[Array, Array, Array] | None = None,
     ) -> int:
-        """Compute the flux S (Pa) and its derivative by ∇ũ; see `KeepingLaw`."""
+        """Compute the flux S (Pa) and its derivative by ∇ũ; see `KeepingLaw`.
+
+        With `end`, write the elastic strain, the internal variables and the Cauchy stress (Pa) at
+        the end of the step there instead; then `value` has no rows.
+        """
         if len(rows) == 0:
             return -1
-        A = np.empty((0, 1, 1)) if tangent is None else tangent
-        return self._run(operand, rows, kept, value, A, *[np.empty((0, 6))] * 3)
+        points, compiled = self.points, self._compiled
+        values, known = (
+            (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
+        )
+        new, internal, sigma = (np.empty((0, 6)),) * 3 if end is None else end
+        return self._kernel(
+            self.law.address, self.parameters(rows),
+            compiled.programs(tangent is not None, end is not None),
+            compiled.checks, compiled.logarithmic, np.ascontiguousarray(operand),
+            np.ascontiguousarray(rows, np.int32), points["F"], points[self.state],
+            self.internal(rows), values, known, value,
+            np.empty((0, 1, 1)) if tangent is None else tangent, new, internal, sigma,
+        )  # fmt: skip
 
     def commit(
         self, operand: Array, rows: Rows, kept: KeptTangents | None = None
@@ -185,11 +189,9 @@ class StrainFormulation:
         n = len(rows)
         new, sigma = np.empty((n, 6)), np.empty((n, 6))
         internal = np.empty((n, len(self.law.internal)))
-        if n:
-            none = np.empty((0, 1)), np.empty((0, 1, 1))
-            bad = self._run(operand, rows, kept, *none, new, internal, sigma)
-            if bad >= 0:
-                new[bad:] = sigma[bad:] = np.nan
+        bad = self.evaluate(operand, np.empty((0, 1)), None, rows, kept, (new, internal, sigma))
+        if bad >= 0:
+            new[bad:] = sigma[bad:] = np.nan
         fields = {self.state: new, "stress": symmetric(sigma)}
         return fields | {name: internal[:, k].copy() for k, name in enumerate(self.law.internal)}
 

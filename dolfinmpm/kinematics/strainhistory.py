@@ -9,11 +9,12 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ParameterError, StateError, raise_together
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["ENERGY", "GIVEN", "MARKS", "check_history", "refuse_stress"]
+__all__ = ["ENERGY", "GIVEN", "MARKS", "UMAT", "check_history", "refuse_stress"]
 
 ENERGY = "energy"
+UMAT = "umat"
 # values of the points' field `moved_under`; 0 for points that have not moved
-MARKS = {"large": 1, "small": 2, "jaumann": 3, ENERGY: 4}
+MARKS = {"large": 1, "small": 2, "jaumann": 3, ENERGY: 4, UMAT: 5}
 # added to the value if a stress was set and the point has not moved since
 GIVEN = 16
 _STATE = {
@@ -25,7 +26,8 @@ _STATE = {
 
 
 def _named(strain: str) -> str:
-    return "an energy in UFL" if strain == ENERGY else f'strain="{strain}"'
+    words = {ENERGY: "an energy in UFL", UMAT: "a UMAT"}
+    return words.get(strain, f'strain="{strain}"')
 
 
 def check_history(

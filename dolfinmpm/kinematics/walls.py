@@ -93,11 +93,12 @@ class Wall:
         markers = self.boundary.markers
         return max(1.0, self.slip) * markers[self.stiffness] * markers[f"{self.name}_on"]
 
-    def prepare(self, rows: npt.NDArray[np.integer]) -> None:
+    def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the penalty, and find the markers with the body in front and their gaps.
 
         Args:
             rows: Markers in active cells.
+            sizes: Sizes h of the cells at the markers (m), shape (markers,).
         """
         markers, name = self.boundary.markers, self.name
         k = markers[self.stiffness]
@@ -105,7 +106,8 @@ class Wall:
             k[:] = self.fixed
         elif self.declaration is not None:
             M = self.declaration.elastic.moduli()[:, 0]
-            k[self.declaration.rows] = self.penalty * M / largest_cell(markers.grid)
+            rows_of = self.declaration.rows
+            k[rows_of] = self.penalty * M / sizes[rows_of]
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]

@@ -11,9 +11,11 @@ from dolfinmpm.materials.parametrised import Parameter
 from dolfinmpm.materials.sands import Sand, sand
 from dolfinmpm.materials.tresca import Tresca
 from dolfinmpm.materials.uflenergy import EnergyWithYield
+from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.materials.vonmises import VonMises
 
 __all__ = [
+    "UMAT",
     "CamClay",
     "DruckerPrager",
     "EnergyWithYield",

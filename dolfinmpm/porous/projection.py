@@ -54,6 +54,8 @@ _LUMPED_NESTED = 3.0
 def size_of(p: Any) -> Any:
     """Mean size of the pressure's cells (m), a constant for UFL. Collective."""
     space: Space = p._dolfinmpm_space
+    if space.refinement is not None:
+        return own_constant(space.grid, space.finest_cell)
     size = space.cell_size
     if not isinstance(size, fem.Function):
         return size

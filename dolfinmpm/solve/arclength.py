@@ -275,6 +275,7 @@ class ArcLength(QuasiStatic):
         refuse_time(t, type(self).__name__)
         started, watch = time.perf_counter(), stages.Watch()
         self._record = record = ArcRecord()
+        self._follow_leaves()
         path = self.path
         wanted = path.length
         try:

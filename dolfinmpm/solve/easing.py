@@ -18,8 +18,9 @@ __all__ = ["FIRST", "ease", "jumps"]
 
 # Share of the first substep
 FIRST = 0.125
-# Relative force out of balance at the start of the smallest substep that is no load's
-_JUMP = 0.01
+# Relative force out of balance at the start of the smallest substep, by its share of the load, that
+# is not the load's own
+_JUMP = 4.0
 
 
 def jumps(problem: Any, residuals: Sequence[float]) -> bool:
@@ -31,7 +32,8 @@ def jumps(problem: Any, residuals: Sequence[float]) -> bool:
     """
     if problem.scheme.inertia or not isinstance(problem.solver, Newton):
         return False
-    return 0.5**problem.max_halvings < FIRST and bool(residuals) and residuals[0] > _JUMP
+    least = 0.5**problem.max_halvings
+    return least < FIRST and bool(residuals) and residuals[0] > _JUMP * least
 
 
 def ease(operator: Operator, share: float) -> None:

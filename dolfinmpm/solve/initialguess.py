@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm.basis import LeafBasis
+from dolfinmpm.contact.contactstencils import stencil_matrix
 from dolfinmpm.grid.partition import Partition
 from dolfinmpm.solve.operator import Operator
 
@@ -31,6 +33,8 @@ class InitialGuess:
         self.length = 1.0
         # per field: owned nodes, and their increments in a step of length 1
         self._parts: list[tuple[npt.NDArray[np.int32], Array]] = []
+        # per field: the basis of a refined field, whose nodes change with its leaves
+        self._leaves: list[LeafBasis | None] = []
         # ranks of the nodes
         self._partition: Partition | None = None
 
@@ -38,6 +42,7 @@ class InitialGuess:
         """Keep the present increments of an operator."""
         here = operator.here
         self._parts, self._partition = [], operator.form.points.partition
+        self._leaves = []
         for field, own, u, scale in zip(
             here.fields, here.unknowns.fields, operator.increments, self._scales(operator)
         ):
@@ -45,7 +50,10 @@ class InitialGuess:
             if field.C is not None:
                 # nodes that are constrained now may be free in the next step
                 nodes, values = field.active, np.asarray(field.C @ u)
-            nodes = nodes[: np.searchsorted(nodes, own.numbering.owned)]
+            leaves = field.basis if isinstance(field.basis, LeafBasis) else None
+            self._leaves.append(leaves)
+            if leaves is None:
+                nodes = nodes[: np.searchsorted(nodes, own.numbering.owned)]
             self._parts.append((nodes, np.asarray(values[nodes] / scale, np.float64)))
 
     def on(self, operator: Operator) -> Array | None:
@@ -57,8 +65,16 @@ class InitialGuess:
         if not self._parts or self._partition is not operator.form.points.partition:
             return None
         nodal = operator.here.unknowns.nodal()
-        for u, (nodes, values), scale in zip(nodal.arrays, self._parts, self._scales(operator)):
-            u[nodes] = values * scale
+        scales = self._scales(operator)
+        for k, u in enumerate(nodal.arrays):
+            nodes, values = self._parts[k]
+            old, basis = self._leaves[k], operator.here.fields[k].basis
+            if old is not None and basis is not old:
+                assert isinstance(basis, LeafBasis)
+                whole = np.zeros((old.nodes.size, u.shape[1]))
+                whole[nodes] = values
+                nodes, values = _between_leaves(old, whole, basis)
+            u[nodes] = values * scales[k]
         return operator.here.unknowns.restrict(nodal.arrays)
 
     def _scales(self, operator: Operator) -> list[float]:
@@ -68,6 +84,8 @@ class InitialGuess:
     def state(self) -> dict[str, npt.NDArray[Any]]:
         """The kept increments of this rank, by name."""
         kept: dict[str, npt.NDArray[Any]] = {}
+        if any(leaves is not None for leaves in self._leaves):
+            return kept
         for k, (nodes, values) in enumerate(self._parts):
             kept |= {f"guess {k} nodes": nodes, f"guess {k}": values}
         return kept
@@ -79,6 +97,34 @@ class InitialGuess:
             local: Arrays of this rank.
             partition: Partition of the points, which says the ranks of the nodes.
         """
-        self._parts, self._partition = [], partition
+        self._parts, self._partition, self._leaves = [], partition, []
         for k in range(sum(name.endswith(" nodes") for name in local if name.startswith("guess"))):
             self._parts.append((local[f"guess {k} nodes"], local[f"guess {k}"]))
+            self._leaves.append(None)
+
+
+def _between_leaves(
+    old: LeafBasis, values: Array, basis: LeafBasis
+) -> tuple[npt.NDArray[np.int32], Array]:
+    """Values of functions on old leaves at the nodes of new leaves, where there were leaves.
+
+    Args:
+        old: The basis on the old leaves.
+        values: Values at its nodes, shape (nodes, components).
+        basis: The basis on the new leaves.
+
+    Returns:
+        Nodes of the new basis, and values, shape (n, components).
+    """
+    gdim = basis.fine.shape[1]
+    x = np.ascontiguousarray(basis.node_coordinates()[:, :gdim])
+    cells = old.cells_at(x)
+    # a node at the upper sides of the old leaves is in none of them
+    least = 1e-6 * basis.cell_sizes().min(initial=1.0)
+    for corner in np.ndindex(*(2,) * gdim):
+        lost = np.flatnonzero(cells < 0)
+        cells[lost] = old.cells_at(x[lost] - least * np.array(corner))
+    nodes = np.flatnonzero(cells >= 0).astype(np.int32)
+    s = old.in_cells(x[nodes], cells[nodes])
+    N = stencil_matrix(s, s.N, (nodes.size, old.nodes.size))
+    return nodes, np.asarray(N @ values)

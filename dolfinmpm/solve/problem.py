@@ -11,13 +11,12 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
-from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.argumentchecks import file_path, shown
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import ReadList, ReadOnce
 from dolfinmpm.assembly.state import HasState, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
@@ -37,6 +36,7 @@ from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_levels
 from dolfinmpm.forms.hoop import check_hoops
 from dolfinmpm.grid.graded import times_regridded
+from dolfinmpm.solve.adaptation import Adaptation, adapt
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
     check_callable,
@@ -54,6 +54,7 @@ from dolfinmpm.solve.problemchecks import (
     check_boundary_conditions,
     check_field_tags,
     check_kinds_of_conditions,
+    check_times,
     refuse_rates,
     warn_of_free_axis,
 )
@@ -121,7 +122,7 @@ class Problem(ReadOnce):
         check_hoops(form, points)
         check_grid(points)
         bcs = check_conditions(bcs, spaces)
-        self._check_scheme(form, points, bcs)
+        check_times(type(self).__name__, scheme.inertia, scheme.in_time, form, points, bcs)
         check_room(points)
         updates = check_updates(updates, points)
         stabilisations = stabilisations_of(stabilisation, len(spaces))
@@ -164,30 +165,6 @@ class Problem(ReadOnce):
         self.loads = Loads(loads, increments)
         settle(points, self.configuration)
         warn_of_imbalance(points)
-
-    def _check_scheme(
-        self, form: ufl.Form, points: MaterialPoints, bcs: Sequence[Condition]
-    ) -> None:
-        """Raise if the form or a condition needs time or inertia, and the scheme has none.
-
-        Raises:
-            FormError: The form has the acceleration of the body, and steps have no inertia.
-            ParameterError: A condition prescribes a velocity, and steps have no length in time.
-        """
-        name = type(self).__name__
-        if not self.scheme.inertia and points.inertia in extract_constants(form):
-            raise FormError(
-                f"the form has the acceleration of the body, and {name} has no "
-                "inertial forces at the end of a step that would tell it: take Newmark or "
-                "GeneralisedAlpha, or leave it out, mpm.poromechanics(..., inertia=False)"
-            )
-        for condition in bcs:
-            if condition.velocity is not None and not self.scheme.in_time:
-                raise ParameterError(
-                    f"the condition at '{condition.where}' prescribes a velocity, and "
-                    f"{name} knows no time; prescribe increments with "
-                    "mpm.prescribed, or take Newmark, GeneralisedAlpha or Explicit"
-                )
 
     def __new__(cls, *_: Any, **given: Any) -> Problem:  # noqa: D102
         cls._refuse_unknown(given, ELSEWHERE)
@@ -304,13 +281,15 @@ class Problem(ReadOnce):
 
     def keeping(self) -> list[tuple[str, HasState]]:
         """Objects with a state from step to step, besides the points, with their names."""
-        held, bodies = ("prescribed", self.held), ("bodies", self.bodies)
+        refinements = [s.refinement for s in self.form.spaces if s.refinement is not None]
+        once = {id(refinement): refinement for refinement in refinements}
         return [
             ("loads", self.loads),
-            held,
+            ("prescribed", self.held),
             *self.form.named_terms(),
-            bodies,
+            ("bodies", self.bodies),
             ("scheme", self.scheme),
+            *((f"leaves {k}", refinement) for k, refinement in enumerate(once.values())),
         ]
 
     @collective
@@ -337,6 +316,8 @@ class Problem(ReadOnce):
             step: The step or substep; by default a whole step.
         """
         share = 1.0 if step is None else step.share
+        if step is not None:
+            self.points.interval = step.t - step.dt, step.dt
         if step is not None and self.here is None and not self.scheme.in_time:
             refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
@@ -360,6 +341,16 @@ class Problem(ReadOnce):
     def _set_penalties(self, here: Activation) -> None:
         """Set the penalties of weak conditions. Collective."""
         self.form.set_penalties(here)
+
+    @collective
+    def adapt(self) -> Adaptation:
+        """Let leaves of refined spaces, and points, follow the sizes wanted now. Collective.
+
+        Points split where their domains are larger than their part of the leaf at their centre.
+        Siblings merge where leaves are larger again and the siblings are alike. Sums stay, see
+        `dolfinmpm.split`. Every call of `step` begins with it.
+        """
+        return adapt(self)
 
     def _check_still_valid(self) -> None:
         """Check that no other problem has moved rigid bodies or grid lines.

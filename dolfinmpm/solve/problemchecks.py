@@ -44,6 +44,7 @@ __all__ = [
     "check_kinds_of_conditions",
     "check_pressure_conditions",
     "check_pressure_level",
+    "check_times",
     "refuse_field_tags",
     "refuse_rates",
     "refuse_time",
@@ -57,6 +58,42 @@ _ROUNDING = 1e-12
 
 
 # -- time ---------------------------------------------------------------------
+
+
+def check_times(
+    problem: str,
+    inertia: bool,
+    in_time: bool,
+    form: ufl.Form,
+    points: MaterialPoints,
+    bcs: Sequence[Condition],
+) -> None:
+    """Raise if a form or a condition needs time or inertia, and the steps have none.
+
+    Args:
+        problem: Name of the problem, for the message.
+        inertia, in_time: Whether its steps have inertial forces, and a length in time.
+        form: Weak form.
+        points: Its material points.
+        bcs: The conditions.
+
+    Raises:
+        FormError: The form has the acceleration of the body, and steps have no inertia.
+        ParameterError: A condition prescribes a velocity, and steps have no length in time.
+    """
+    if not inertia and points.inertia in extract_constants(form):
+        raise FormError(
+            f"the form has the acceleration of the body, and {problem} has no "
+            "inertial forces at the end of a step that would tell it: take Newmark or "
+            "GeneralisedAlpha, or leave it out, mpm.poromechanics(..., inertia=False)"
+        )
+    for condition in bcs:
+        if condition.velocity is not None and not in_time:
+            raise ParameterError(
+                f"the condition at '{condition.where}' prescribes a velocity, and "
+                f"{problem} knows no time; prescribe increments with "
+                "mpm.prescribed, or take Newmark, GeneralisedAlpha or Explicit"
+            )
 
 
 def refuse_rates(form: ufl.Form, points: MaterialPoints, problem: str) -> None:

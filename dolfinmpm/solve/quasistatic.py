@@ -19,6 +19,7 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Prolongate
+from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
@@ -230,6 +231,7 @@ class QuasiStatic(Problem):
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()
+        self._follow_leaves()
         done, share, whole, eased = 0.0, self.share, False, False
         try:
             while done < 1.0:
@@ -265,6 +267,11 @@ class QuasiStatic(Problem):
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
+
+    def _follow_leaves(self) -> None:
+        """Let the points follow the leaves, and record it. Collective."""
+        adapted = adapt(self)
+        self._record.split, self._record.merged = adapted.split, adapted.merged
 
     def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
         """Take a step or a substep; return None, or the reason of a failure. Collective.

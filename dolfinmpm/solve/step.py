@@ -61,6 +61,8 @@ class StepRecord:
             before them. "output" is the time of writing files before the next step. The stages
             add up to the whole step, except for reading the loads and choosing the length of
             steps. Empty unless `measure_stages` or PETSc's log is on.
+        split, merged: Numbers of points that split, and of families that merged, before the step;
+            see `Problem.adapt`.
         bodies: Name of a rigid body → "position" of its centre (m), "angle" (degrees), and "force"
             (N) and "moment" (N m) of the points on the body. Also name of a contact between
             deformable bodies → "force" (N) on the first body.
@@ -76,6 +78,8 @@ class StepRecord:
     imbalance: float = 1.0
     seconds: float = 0.0
     stages: dict[str, float] = field(default_factory=dict)
+    split: int = 0
+    merged: int = 0
     bodies: dict[str, dict[str, list[float]]] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:

@@ -9,6 +9,7 @@ from dolfinmpm.io.tables import read_table, write_table
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.condition import Conditioning, conditioning
 from dolfinmpm.study.derivatives import Derivatives, Run, differentiate
+from dolfinmpm.study.elementtest import element_test
 from dolfinmpm.study.reduction import factor_of_safety, reduced_strength
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 from dolfinmpm.study.trial import FactorOfSafety, Trial
@@ -27,6 +28,7 @@ __all__ = [
     "draw_convergence",
     "draw_reduction",
     "draw_sweep",
+    "element_test",
     "factor_of_safety",
     "observed_orders",
     "overall_order",

@@ -174,7 +174,9 @@ class FromState:
         problem = self._problem
         held = problem.held
         still = [
-            condition if condition.kind == "value" else replace(condition, value=0.0, velocity=None)
+            condition
+            if condition.kind == "value"
+            else replace(condition, value=0.0, velocity=None, function=None)
             for condition in held.conditions
         ]
         problem.held = EssentialConditions(still, problem.form.spaces)

@@ -16,17 +16,18 @@ from dolfinmpm.assembly.nitschepenalty import trace_constants
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.state import Local
 from dolfinmpm.assembly.term import NewState, Term
+from dolfinmpm.basis import LeafBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.regions import active_boundary_regions
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.splitting import BoundaryTerms
-from dolfinmpm.grid.lattice import lattice_of, smallest_height
+from dolfinmpm.grid.lattice import largest_cell, lattice_of
 from dolfinmpm.kinematics.nitsche import TRACE
 from dolfinmpm.terms.referencemarkers import reference_wall
 
@@ -111,21 +112,22 @@ class BoundaryTerm(Term):
         """
         markers = self.markers
         rows = np.sort(here.fields[0].of_markers[markers.number].order)
+        first = here.fields[0]
         for condition in self.conditions:
-            condition.prepare(rows)
+            condition.prepare(rows, _sizes(self.boundary, first))
         # constants are kept for one field only
         fields = {id(c.declaration.u) for c in self.conditions if c.local}
         for k, u in enumerate(increments):
             local = [c for c in self.conditions if c.local and c.declaration.u is u]
             if not local:
                 continue
-            if not (stabilised and len(fields) == 1 and _stays(self.boundary, rows)):
+            if not (stabilised and len(fields) == 1 and _stays(self.boundary, rows, first)):
                 at = np.zeros((len(markers), 2))
                 for one in self.declarations:
                     at[one.rows] = one.elastic.moduli()
                 found = trace_constants(here, k, self.boundary, moduli(), at)
                 markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
-                markers[f"{TRACE}_cell"] = _middles(self.boundary)
+                markers[f"{TRACE}_cell"] = _middles(self.boundary, first)
             for condition in local:
                 of_law = condition.declaration.rows
                 markers[condition.stiffness][of_law] = 2.0 * markers[TRACE][of_law]
@@ -219,7 +221,17 @@ class ActiveBoundaryTerm(Evaluation):
         new.beside.append((markers, fields, to))
 
 
-def _middles(boundary: Boundary) -> Array:
+def _sizes(boundary: Boundary, field: ActiveField) -> Array:
+    """Sizes of the field's cells at the markers (m), shape (markers,)."""
+    sizes = np.full(len(boundary.markers), largest_cell(boundary.markers.grid))
+    if isinstance(field.basis, LeafBasis):
+        # a marker away from the body is in no leaf
+        cells = field.basis.cells_at(boundary.seen)
+        sizes[cells >= 0] = field.basis.cell_sizes()[cells[cells >= 0]]
+    return sizes
+
+
+def _middles(boundary: Boundary, field: ActiveField) -> Array:
     """Middles of the markers' cells (m), shape (markers, gdim)."""
     markers, grid, x = boundary.markers, boundary.markers.grid, boundary.seen
     lattice = lattice_of(grid)
@@ -228,15 +240,20 @@ def _middles(boundary: Boundary) -> Array:
         return np.asarray(corners.mean(axis=1), np.float64)
     ijk = lattice.cells_at(x)
     lines = enumerate(lattice.lines)
-    return np.column_stack([0.5 * (line[ijk[:, d]] + line[ijk[:, d] + 1]) for d, line in lines])
+    middles = np.column_stack([0.5 * (line[ijk[:, d]] + line[ijk[:, d] + 1]) for d, line in lines])
+    if isinstance(field.basis, LeafBasis):
+        cells, (low, high) = field.basis.cells_at(x), field.basis.cell_corners()
+        known = cells >= 0
+        middles[known] = 0.5 * (low + high)[cells[known]]
+    return middles
 
 
-def _stays(boundary: Boundary, rows: npt.NDArray[np.integer]) -> bool:
+def _stays(boundary: Boundary, rows: npt.NDArray[np.integer], field: ActiveField) -> bool:
     """Whether markers are in the cells of their kept constants, and have moved little."""
     markers = boundary.markers
-    h = smallest_height(markers.grid)
+    h = field.space.finest_cell
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
-    other = np.abs(_middles(boundary) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
+    other = np.abs(_middles(boundary, field) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
     known = bool((markers[TRACE][rows] > 0).all())
     same = known and way < _STILL * h and other < 1e-6 * h
     return bool(markers.comm.allreduce(same, op=MPI.LAND))

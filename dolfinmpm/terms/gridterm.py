@@ -79,12 +79,12 @@ class GridTerm(Term):
 
     def state(self) -> dict[str, Any]:
         """Kept facet tensors, see `FacetBlock`."""
-        blocks = enumerate(self.assembler.spline_blocks)
+        blocks = enumerate(self.assembler.facet_blocks)
         return {f"{k} {n}": Local(v) for k, block in blocks for n, v in block.state().items()}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`, and discard other cached data."""
-        for k, block in enumerate(self.assembler.spline_blocks):
+        for k, block in enumerate(self.assembler.facet_blocks):
             start = f"{k} "
             names = [name for name in values if name.startswith(start)]
             block.renew()

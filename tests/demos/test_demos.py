@@ -27,6 +27,7 @@ NUMBERS = {
     "paraview_and_checkpoint": ("difference", 0.0),
     "pipe": ("factor", 5.180),
     "plough": ("ratio", 6.2447),
+    "published_law": ("settlement", 0.11531),
     "growing_strip": ("angle", 2.3617),
     "new_stabilisation": ("worst", 0.5749),
     "runout": ("push", 3.559e6),

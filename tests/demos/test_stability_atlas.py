@@ -11,7 +11,7 @@ import pytest
 from test_studies import run
 
 STUDIES = Path(__file__).resolve().parents[2] / "demos" / "studies"
-SLOPE = "--family", "slopes", "--basis", "gimp", "--stabilisation", "none,ghost", "--seed", "7"
+SLOPE = "--family", "slopes", "--basis", "gimp", "--stabilisation", "none,ghost", "--seed", "35"
 
 
 def lines(folder):
@@ -40,9 +40,9 @@ def test_a_slope_needs_its_stabilisation(tmp_path):
     assert file.read_text().startswith(kept)
     assert file.read_text().count('"outcome": "to the end"') == 1
     # the same seed, the same figures
-    for one, other in zip(first, again["table"]):
-        assert one["stabilisation"] == other["stabilisation"]
-        assert one["iterations"] / max(1, one["steps_done"]) == other["iterations"]
+    rows = {row["stabilisation"]: row["iterations"] for row in again["table"]}
+    for one in first:
+        assert one["iterations"] / max(1, one["steps_done"]) == rows[one["stabilisation"]]
 
 
 def test_ranks_share_problems_and_agree(tmp_path):

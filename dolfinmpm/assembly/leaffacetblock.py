@@ -1,0 +1,276 @@
+"""Terms over ghost facets between leaves: one element tensor for all facets of a class.
+
+A facet is a side of the smaller leaf. Both leaves have their own linear functions on it; hanging
+nodes join them afterwards. The size of the cells is that of the smaller leaf.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from dolfinmpm._platform.errors import UnsupportedGridError
+from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
+from dolfinmpm.assembly.latticefacets import gauss_rule, product
+from dolfinmpm.basis import LeafBasis
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import GHOST_FACETS
+
+__all__ = ["LeafFacetBlock"]
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class _LeafFacet:
+    """A facet between two leaves.
+
+    Attributes:
+        boxes: Lower and upper corners (m) of the first leaf, "+", and of the second one.
+        direction: Direction from the lower to the upper leaf.
+        swapped: Whether the first leaf is the upper one.
+    """
+
+    boxes: tuple[tuple[Array, Array], tuple[Array, Array]]
+    direction: int
+    swapped: bool
+
+    @property
+    def lines(self) -> list[Array]:
+        """Ends of the first leaf in each direction (m)."""
+        low, high = self.boxes[0]
+        return [np.array(ends) for ends in zip(low, high)]
+
+    def sizes(self, side: str) -> tuple[float, ...]:
+        """Lengths of the edges of a leaf (m); those of the smaller one for different sizes."""
+        edges = [high - low for low, high in self.boxes]
+        along = np.arange(edges[0].size) != self.direction
+        same = np.allclose(edges[0][along], edges[1][along], rtol=1e-9)
+        return tuple(float(edge) for edge in edges[int(same and side == "-")])
+
+
+class _LeafFacetTensors(FacetTensors):
+    """Element tensors between the functions of two leaves: first those of the first leaf."""
+
+    def _zeros(self, place, pairs: int) -> Array:
+        number = 2 * 2 ** len(place.lines)
+        return np.zeros((number, number, pairs))
+
+    def _add(self, total: Array, place, first, second, gauss, block: Array) -> None:
+        each = len(total) // 2
+        (side_a, a), (side_b, b) = first, second
+        lines = []
+        for d, (low, high) in enumerate(place.lines):
+            if d == place.direction:
+                x, w = np.array([low if place.swapped else high]), np.ones(1)
+            else:
+                points, weights = gauss_rule(gauss or 2)
+                x, w = low + 0.5 * (high - low) * (points + 1), 0.5 * (high - low) * weights
+            A, B = (
+                _linear(place.boxes["+-".index(side)], d, x, powers[d])
+                for side, powers in ((side_a, a), (side_b, b))
+            )
+            lines.append((w[:, None] * A).T @ B)
+        rows, columns = ("+-".index(side) * each for side in (side_a, side_b))
+        part = product(lines)[:, :, None] * block
+        total[rows : rows + each, columns : columns + each] += part
+
+
+def _linear(box: tuple[Array, Array], d: int, x: Array, order: int) -> Array:
+    """Derivatives of the two linear functions of a leaf in a direction, shape (x, 2)."""
+    low, high = box[0][d], box[1][d]
+    if order == 0:
+        return np.column_stack([(high - x) / (high - low), (x - low) / (high - low)])
+    slope = 1.0 / (high - low) if order == 1 else 0.0
+    return np.column_stack([np.full(x.size, -slope), np.full(x.size, slope)])
+
+
+@dataclass(frozen=True)
+class _LeafFacets:
+    """Facets of the integration, and entries of the matrix.
+
+    Attributes:
+        kind: Class of each facet, shape (facets,).
+        keys: Key of each class, that of facets between leaves of the same sizes and places.
+        places: One facet of each class.
+        rows, columns: Nodes of the entries.
+        entry: Entry of each pair of functions of each facet, shape (facets, m, m) flattened.
+    """
+
+    kind: npt.NDArray[np.intp]
+    keys: list[tuple[float, bytes]]
+    places: list[_LeafFacet]
+    rows: Ints
+    columns: Ints
+    entry: npt.NDArray[np.intp]
+
+    @classmethod
+    def of(cls, facets: Ints, basis: LeafBasis) -> _LeafFacets:
+        """The facets with these rows (cell, local facet, cell, local facet)."""
+        low, high = basis.cell_corners()
+        first, second = facets[:, 0], facets[:, 2]
+        sizes = np.hstack([high[first] - low[first], high[second] - low[second]])
+        scale = float((high - low).max(initial=0.0)) or 1.0
+        shape = np.round(np.hstack([sizes, low[first] - low[second]]) / scale * 1e9)
+        codes = np.hstack([facets[:, 1:2], shape]).astype(np.int64)
+        codes, example, kind = np.unique(codes, axis=0, return_index=True, return_inverse=True)
+        places = [
+            _LeafFacet(((low[a], high[a]), (low[b], high[b])), int(side // 2), bool(side % 2 == 0))
+            for a, side, b, _ in facets[example]
+        ]
+        nodes = np.hstack([basis.corner_nodes[first], basis.corner_nodes[second]]).astype(np.int64)
+        pairs, number = nodes[:, :, None] * basis.nodes.size + nodes[:, None, :], basis.nodes.size
+        keys, entry = np.unique(pairs, return_inverse=True)
+        rows, columns = (part.astype(np.int32) for part in np.divmod(keys, max(number, 1)))
+        found = [(scale, code.tobytes()) for code in codes]
+        return cls(kind.ravel(), found, places, rows, columns, entry.ravel())
+
+
+class LeafFacetBlock:
+    """A bilinear form over ghost facets between leaves.
+
+    Args:
+        form: The form.
+        space: Space of both arguments, refined.
+
+    Attributes:
+        constants: Constants of the form.
+        moduli: Moduli of facets in the form.
+
+    Raises:
+        UnsupportedGridError: The form is no form over ghost facets alone, varies along a facet, or
+            has an adaptive factor.
+    """
+
+    # subdomain ids of the facets in the form
+    moving: ClassVar[set[int]] = {GHOST_FACETS}
+
+    def __init__(self, form: ufl.Form, space: Space):
+        check_on_leaves(form, space)
+        self._space = space
+        self._tensor_of = _LeafFacetTensors(form, 1, space.components)
+        self.constants: list[fem.Constant] = form.constants()
+        self.moduli = facet_moduli(form)
+        if any(modulus.target is not None for modulus in self.moduli):
+            raise UnsupportedGridError(
+                'factor="adaptive" of a ghost penalty is not available on a refined space; give '
+                "a number, such as factor=1"
+            )
+        self._tensors: dict[tuple[float, bytes], Array] = {}
+        self._values: Array | None = None
+        self._facets: _LeafFacets | None = None
+        self._basis: LeafBasis | None = None
+
+    @property
+    def coefficients(self) -> list[fem.Function]:
+        """Coefficients of the form, which are its moduli of facets."""
+        return list(self.moduli)
+
+    def renew(self) -> None:
+        """Forget the facets of the integration."""
+        self._facets = None
+
+    def regrid(self) -> None:
+        """Forget values that belong to the old lines of the grid."""
+        self._tensors, self._facets = {}, None
+
+    def attach(self, entities: dict[int, Ints], basis: LeafBasis) -> None:
+        """Set the ghost facets of the integration.
+
+        Args:
+            entities: Under the key GHOST_FACETS, rows (cell, local facet, cell, local facet).
+            basis: Basis on the leaves.
+        """
+        if self._facets is not None and basis is self._basis:
+            return
+        self._basis = basis
+        self._facets = _LeafFacets.of(entities[GHOST_FACETS].reshape(-1, 4), basis)
+
+    @property
+    def facets(self) -> _LeafFacets:
+        """The facets of the integration."""
+        assert self._facets is not None
+        return self._facets
+
+    @property
+    def rows(self) -> Ints:
+        """Nodes of the rows of the blocks."""
+        return self.facets.rows
+
+    @property
+    def columns(self) -> Ints:
+        """Nodes of the columns of the blocks."""
+        return self.facets.columns
+
+    def matrix(self) -> Array:
+        """This rank's share of the matrix, one block per entry of `rows` and `columns`."""
+        values = np.concatenate([np.empty(0), *(np.ravel(c.value) for c in self.constants)])
+        if self._values is None or not np.array_equal(values, self._values):
+            self._values, self._tensors = values, {}
+        c, facets, tensors = self._space.components, self.facets, []
+        for key, place in zip(facets.keys, facets.places):
+            if key not in self._tensors:
+                self._tensors[key] = self._tensor_of.parts(place, self.moduli)
+            tensors.append(self._tensors[key])
+        scale: Array = np.ones((facets.kind.size, 1 + len(self.moduli)))
+        for k, modulus in enumerate(self.moduli):
+            modulus.values = modulus.moduli[:, 0].copy()
+            scale[:, 1 + k] = modulus.values
+        pairs = max((t.shape[-1] for t in tensors), default=1)
+        tensors = [t * np.eye(c).ravel() if t.shape[-1] < pairs else t for t in tensors]
+        sums = np.zeros((facets.rows.size, pairs))
+        for k, tensor in enumerate(tensors):
+            of = np.flatnonzero(facets.kind == k)
+            m = tensor.shape[1]
+            each = np.einsum("fp,pabq->fabq", scale[of], tensor).reshape(-1, pairs)
+            at = facets.entry.reshape(-1, m * m)[of].ravel()
+            for q in range(pairs):
+                sums[:, q] += np.bincount(at, each[:, q], minlength=len(sums))
+        if pairs == 1:
+            return sums[:, :, None] * np.eye(c)
+        return sums.reshape(-1, c, c)
+
+    def state(self) -> dict[str, npt.NDArray]:
+        """The tensors kept: rounding differs between the facets that a class was integrated on."""
+        if self._values is None or not self._tensors:
+            return {}
+        tensors = list(self._tensors.values())
+        return {
+            "constants": self._values,
+            "scales": np.array([scale for scale, _ in self._tensors]),
+            "codes": np.array([np.frombuffer(code, np.int64) for _, code in self._tensors]),
+            "pairs": np.array([t.shape[-1] for t in tensors], np.int64),
+            "tensors": np.concatenate([t.ravel() for t in tensors]),
+        }
+
+    def set_state(self, state: dict[str, npt.NDArray]) -> None:
+        """Keep the tensors that `state` returned, and no others."""
+        self._values, self._tensors = state.get("constants"), {}
+        m, start = 2 * 2**self._space.grid.geometry.dim, 0
+        of_all = (state.get(name, ()) for name in ("scales", "codes", "pairs"))
+        for scale, code, pairs in zip(*of_all):
+            shape = 1 + len(self.moduli), m, m, int(pairs)
+            end = start + math.prod(shape)
+            tensor = state["tensors"][start:end].reshape(shape).copy()
+            self._tensors[float(scale), np.ascontiguousarray(code).tobytes()] = tensor
+            start = end
+
+
+def check_on_leaves(form: ufl.Form, space: Space) -> None:
+    """Raise UnsupportedGridError unless a form is over ghost facets alone, and constant on each."""
+    ids = [integral.subdomain_id() for integral in form.integrals()]
+    flat = {i for given in ids for i in (given if isinstance(given, tuple) else (given,))}
+    kinds = {integral.integral_type() for integral in form.integrals()}
+    if kinds != {"interior_facet"} or flat != {GHOST_FACETS} or not readable(form, space.cell_size):
+        raise UnsupportedGridError(
+            f"integrals over {', '.join(sorted(kinds))} of the grid do not know the leaves of a "
+            "refined space: use sums over points (points.dx, points.dX), surfaces and boundaries, "
+            "or mpm.ghost for penalties over facets; or leave refine out"
+        )

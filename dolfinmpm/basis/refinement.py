@@ -1,0 +1,196 @@
+"""Refined spaces: which sizes of cells are wanted where, and the basis on the leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+
+from dolfinmpm._platform.argumentchecks import shown, whole
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis.latticebasis import LatticeBasis
+from dolfinmpm.basis.leafbasis import LeafBasis
+from dolfinmpm.basis.stencils import Placement
+from dolfinmpm.grid.lattice import Lattice, require_lattice
+from dolfinmpm.grid.leaves import Leaves, leaves_of
+from dolfinmpm.grid.partition import Partition
+from dolfinmpm.grid.userfunctions import call_function
+
+__all__ = [
+    "MOST_LEVELS",
+    "CellSize",
+    "Refinement",
+    "SizeAt",
+    "refinement_of",
+]
+
+Array = npt.NDArray[np.float64]
+# Lines of the finest level are 32-bit numbers
+MOST_LEVELS = 10
+
+
+@runtime_checkable
+class CellSize(Protocol):
+    """A size of cells that is wanted somewhere; see `dolfinmpm.near`."""
+
+    def wanted(self, low: Array, high: Array) -> Array:
+        """Sizes wanted in cells (m), shape (n,); infinite where any size will do.
+
+        Args:
+            low, high: Corners of the cells (m), shape (n, gdim).
+        """
+
+
+class SizeAt:
+    """A function of position as the size wanted.
+
+    It is evaluated at the corners, the middles of the sides and the centre of every cell.
+
+    Args:
+        size: Function of positions (m), shape (gdim, n), that returns n sizes (m).
+    """
+
+    def __init__(self, size: Callable[[Array], Any]):
+        self._size = size
+
+    def wanted(self, low: Array, high: Array) -> Array:
+        """See `CellSize`."""
+        gdim = low.shape[1]
+        t = 0.5 * np.array(list(np.ndindex(*(3,) * gdim)))
+        x = low[:, None] + t * (high - low)[:, None]
+        sizes = call_function("the size wanted (refine)", self._size, x.reshape(-1, gdim))
+        return np.asarray(sizes.reshape(len(low), -1).min(axis=1))
+
+
+def _sizes(given: Any) -> tuple[CellSize, ...]:
+    """The sizes wanted, as a tuple of `CellSize`."""
+    every = given if isinstance(given, (tuple, list)) else (given,)
+    made: list[CellSize] = []
+    for one in every:
+        if isinstance(one, CellSize):
+            made.append(one)
+        elif callable(one):
+            made.append(SizeAt(one))
+        else:
+            raise ParameterError(
+                f"refine = {shown(given)} must be a function of positions that returns sizes (m), "
+                "mpm.near(body, size), mpm.where_it_yields(points, size), or a list of these"
+            )
+    return tuple(made)
+
+
+class Refinement:
+    """Sizes wanted for cells, and the leaves of the present step. Spaces may share it.
+
+    Args:
+        grid: Background grid, rectangular: the roots.
+        sizes: The sizes wanted; the least one counts.
+        levels: Largest number of times that a root is halved.
+
+    Attributes:
+        sizes, levels: The arguments.
+        leaves: The leaves of the last activation, or None.
+    """
+
+    def __init__(self, grid: Mesh, sizes: Sequence[CellSize], levels: int):
+        self._grid, self.sizes, self.levels = grid, tuple(sizes), levels
+        self.leaves: Leaves | None = None
+        self._held: Leaves | None = None
+        self._bases: dict[tuple[int, int], tuple[Partition | None, LeafBasis]] = {}
+
+    @property
+    def depth(self) -> int:
+        """Levels that the sizes wanted can reach, at most `levels`."""
+        least = min(getattr(one, "least", 0.0) for one in self.sizes)
+        if least <= 0.0:
+            return self.levels
+        edge = max(np.diff(line).max() for line in self.lattice.lines)
+        return min(self.levels, max(0, math.ceil(math.log2(edge / least) - 1e-9)))
+
+    @property
+    def lattice(self) -> Lattice:
+        """The grid of the roots."""
+        return require_lattice(self._grid, "refine")
+
+    def wanted(self, low: Array, high: Array) -> Array:
+        """Sizes wanted in cells (m), shape (n,); see `CellSize`."""
+        size = np.full(len(low), np.inf)
+        for one in self.sizes:
+            size = np.minimum(size, one.wanted(low, high))
+        return size
+
+    def hold(self) -> None:
+        """Let cells that are split now stay split unless clearly larger ones are wanted."""
+        self._held = self.leaves
+
+    def state(self) -> dict[str, Any]:
+        """The leaves held, as lowest lines and sizes; the same on all ranks."""
+        if self._held is None:
+            return {}
+        return {"low": self._held.low, "size": self._held.size}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Restore a state returned by `state`."""
+        self._held, self.leaves, self._bases = None, None, {}
+        if "low" in values:
+            low, size = (np.asarray(values[name], np.int32) for name in ("low", "size"))
+            self._held = Leaves.restored(self.lattice, self.levels, low, size)
+
+    def leaves_for(self, where: Placement, averaged: bool) -> Leaves:
+        """The leaves for some points. Collective.
+
+        Args:
+            where: The points.
+            averaged: Whether functions are averaged over the domains of the points.
+        """
+        half = where.half if averaged else np.zeros_like(where.half)
+        comm = self._grid.comm
+        made = leaves_of(comm, self.lattice, self.levels, where.x, half, self.wanted, self._held)
+        if not made.same(self.leaves):
+            self.leaves, self._bases = made, {}
+        assert self.leaves is not None
+        return self.leaves
+
+    def basis(self, base: LatticeBasis, layers: int, partition: Partition | None) -> LeafBasis:
+        """The basis on the present leaves. The same arguments return the same object.
+
+        Args:
+            base: Basis of the same functions on the roots.
+            layers: Layers of roots, around this rank's own roots, that it knows.
+            partition: Which rank computes a root.
+        """
+        assert self.leaves is not None
+        key = id(base), layers
+        if key not in self._bases or self._bases[key][0] is not partition:
+            self._bases[key] = partition, LeafBasis(base, self.leaves, layers, partition)
+        return self._bases[key][1]
+
+
+def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:
+    """The refinement with these arguments; equal arguments on a grid return the same object.
+
+    Args:
+        grid: Background grid.
+        refine: The sizes wanted; see `dolfinmpm.Space`.
+        levels: Largest number of times that a cell of the grid is halved.
+
+    Raises:
+        ParameterError: An argument is not valid.
+        UnsupportedGridError: The grid is not rectangular.
+    """
+    require_lattice(grid, "refine")
+    if whole("levels", levels, 1) > MOST_LEVELS:
+        raise ParameterError(
+            f"levels = {levels} must be at most {MOST_LEVELS}: give the grid smaller cells"
+        )
+    every = refine if isinstance(refine, (tuple, list)) else (refine,)
+    known = grid.__dict__.setdefault("_dolfinmpm_refinements", {})
+    key = (levels, *(id(one) for one in every))
+    if key not in known:
+        # the arguments stay alive with the result, so that their ids stay theirs
+        known[key] = every, Refinement(grid, _sizes(refine), levels)
+    return known[key][1]

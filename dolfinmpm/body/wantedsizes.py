@@ -1,0 +1,129 @@
+"""Sizes of cells that are wanted near a rigid body, or where the soil yields."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = ["near", "where_it_yields"]
+
+Array = npt.NDArray[np.float64]
+
+
+class _Near:
+    """See `near`."""
+
+    def __init__(self, body: Any, size: float, reach: float, growth: float):
+        self._body, self._size, self._reach, self._growth = body, size, reach, growth
+        self.least = size
+
+    def wanted(self, low: Array, high: Array) -> Array:
+        """See `dolfinmpm.basis.refinement.CellSize`."""
+        if not len(low):
+            return np.empty(0)
+        # the surface is that of the body where it was made
+        x = self._body.start.back(0.5 * (low + high))
+        gap = self._body.surface.probe(np.ascontiguousarray(x))[0]
+        apart = np.abs(gap) - 0.5 * np.linalg.norm(high - low, axis=1)
+        return np.maximum(self._size, self._growth * (apart - self._reach))
+
+
+def near(body: Any, size: float, *, reach: float | None = None, growth: float = 0.5) -> _Near:
+    """Cells of a size near a rigid body, for `Space(refine=...)`; they grow with distance.
+
+    The size wanted at a distance a from the surface of the body is max(size, growth (a − reach)).
+    The surface is where the body is at the start of a step, so that the cells follow the body.
+
+    Args:
+        body: A rigid body.
+        size: Size of the cells at the body (m).
+        reach: Distance up to which cells have this size (m); four cells by default.
+        growth: Growth of the size with distance (-): with 0.5, a ring of cells of each size is two
+            cells wide.
+
+    Raises:
+        ParameterError: An argument is not valid.
+
+    >>> import numpy as np
+    >>> import dolfinmpm as mpm
+    >>> ball = mpm.RigidBody(mpm.Ball((0, 0), 1.0), increment=(0, 0))
+    >>> fine = mpm.near(ball, size=0.1)
+    >>> fine.wanted(np.array([[0.9, 0.0], [4.0, 0.0]]), np.array([[1.1, 0.2], [4.1, 0.1]])).round(2)
+    array([0.1 , 1.29])
+    """
+    if not hasattr(getattr(body, "surface", None), "probe"):
+        raise ParameterError(f"body = {shown(body)} must be a mpm.RigidBody")
+    number("size", size, 0.0, unit="m")
+    if reach is None:
+        reach = 4 * size
+    elif number("reach", reach, unit="m") < 0:
+        raise ParameterError(f"reach = {reach:g} m must not be negative")
+    return _Near(body, float(size), float(reach), number("growth", growth, 0.0))
+
+
+class _WhereItYields:
+    """See `where_it_yields`."""
+
+    def __init__(self, points: Any, size: float, field: str, least: float):
+        self._points, self._size, self._field, self._least = points, size, field, least
+        self.least = size
+
+    def wanted(self, low: Array, high: Array) -> Array:
+        """See `dolfinmpm.basis.refinement.CellSize`."""
+        points, sizes = self._points, np.full(len(low), np.inf)
+        chosen = points[self._field] > self._least
+        every = points.comm.allgather(points["x"][chosen])
+        x = np.concatenate(every)
+        if not len(x) or not len(low):
+            return sizes
+        from scipy.spatial import cKDTree
+
+        middle, edge = 0.5 * (low + high), (high - low).max(axis=1)
+        apart, _ = cKDTree(x).query(middle, p=np.inf)
+        # a cell and its neighbours
+        sizes[apart <= edge] = self._size
+        return sizes
+
+
+def where_it_yields(
+    points: Any, size: float, *, field: str = "plastic_strain", least: float = 1e-3
+) -> _WhereItYields:
+    """Cells of a size where points have yielded, for `Space(refine=...)`.
+
+    A cell has this size if a point that has yielded is in it, or within one cell of it.
+
+    Args:
+        points: Material points.
+        size: Size of the cells (m).
+        field: Name of the field of the points that tells how much they have yielded.
+        least: Least value of the field, such as a plastic strain (-).
+
+    The law of the points adds the field when a problem is made. A field that is missing then is an
+    `UnknownNameError` of the first step.
+
+    Raises:
+        ParameterError: An argument is not valid.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> fine = mpm.where_it_yields(points, 0.25)
+    >>> V = mpm.Space(grid, "gimp", refine=fine, levels=2)
+    >>> clay = mpm.materials.Tresca(1e6, 0.3, cohesion=20e3)
+    >>> F = mpm.momentum(clay, points, V.increment, V.test)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    >>> points["plastic_strain"][points["x"][:, 0] < 0.5] = 0.01
+    >>> problem.adapt().split
+    48
+    """
+    if not hasattr(points, "comm"):
+        raise ParameterError(f"points = {shown(points)} must be material points")
+    number("size", size, 0.0, unit="m")
+    number("least", least)
+    return _WhereItYields(points, float(size), field, float(least))

@@ -1,0 +1,151 @@
+"""Paths of element tests: what is prescribed, component by component.
+
+A path is linear in the six strains and the six stresses: each of six conditions prescribes a
+component, a sum or a difference of components (Bardet & Choucair 1991, doi 10.1002/nag.1610151202).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = ["COMPONENTS", "Leg", "legs_of"]
+
+Array = npt.NDArray[np.float64]
+
+COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "xz")
+_PATHS = ("isotropic", "oedometer", "triaxial", "undrained triaxial", "simple shear",
+          "undrained simple shear")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of a path, in which six conditions change linearly.
+
+    Attributes:
+        of_stress: Whether a condition is for stresses (Pa) and not for strains (-), shape (6,).
+        weights: Weights of the components in each condition, shape (6, 6).
+        targets: Values at the end; NaN where the first value stays. Shape (6,).
+        steps: Number of steps.
+    """
+
+    of_stress: npt.NDArray[np.bool_]
+    weights: Array
+    targets: Array
+    steps: int
+
+
+def _weights(name: Any) -> Array:
+    """Weights of the components by a name such as "yy", "yy-xx", "volume" or "mean"."""
+    result = np.zeros(6)
+    if name == "volume":
+        result[:3] = 1.0
+        return result
+    if name == "mean":
+        result[:3] = 1.0 / 3.0
+        return result
+    parts = name.split("-") if isinstance(name, str) else [""]
+    if len(parts) > 2 or any(part not in COMPONENTS for part in parts):
+        raise ParameterError(
+            f"a leg prescribes {shown(name)}; it must be one of {', '.join(COMPONENTS)}, a "
+            "difference such as 'yy-xx', 'volume' (a strain) or 'mean' (a stress)"
+        )
+    for part, sign in zip(parts, (1.0, -1.0)):
+        result[COMPONENTS.index(part)] += sign
+    return result
+
+
+def leg(strain: Mapping[str, float | None], stress: Mapping[str, float | None], steps: int) -> Leg:
+    """A leg of names; components that nothing names keep their strain.
+
+    Raises:
+        ParameterError: A name is not known, or the conditions are not six that are independent.
+    """
+    rows, targets, of_stress = [], [], []
+    for is_stress, given in ((False, strain), (True, stress)):
+        for name, value in given.items():
+            rows.append(_weights(name))
+            targets.append(np.nan if value is None else number(str(name), value))
+            of_stress.append(is_stress)
+    named = np.any(np.array(rows).reshape(-1, 6) != 0.0, axis=0)
+    for k in np.flatnonzero(~named):
+        rows.append(np.eye(6)[k])
+        targets.append(np.nan)
+        of_stress.append(False)
+    if len(rows) != 6:
+        raise ParameterError(
+            f"a leg with strain {shown(dict(strain))} and stress {shown(dict(stress))} has "
+            f"{len(rows)} conditions for 6 components: each component needs one; components that "
+            "nothing names keep their strain"
+        )
+    return Leg(np.array(of_stress), np.array(rows), np.array(targets), whole("steps", steps, 1))
+
+
+def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:
+    """The legs of a path.
+
+    Args:
+        path: Name of a path, or legs as dictionaries; see `element_test`.
+        to: Turning points of the leading strain or stress.
+        by: "strain" or "stress".
+        steps: Steps of each leg.
+
+    Raises:
+        ParameterError: An argument is out of range.
+    """
+    if not isinstance(path, str):
+        return _own(path, to, steps)
+    path, by = choice("path", path, _PATHS), choice("by", by, ("strain", "stress"))
+    turns = [to] if isinstance(to, (int, float)) else to
+    if not isinstance(turns, (Sequence, np.ndarray)) or isinstance(turns, str) or not len(turns):
+        raise ParameterError(f"to = {shown(to)} must be a number, or turning points one by one")
+    shear = "shear" in path
+    lead = {
+        "isotropic": ("volume", "mean"), "oedometer": ("yy", "yy"), "triaxial": ("yy", "yy-xx"),
+        "undrained triaxial": ("yy", "yy-xx"),
+    }.get(path, ("xy", "xy"))[by == "stress"]  # fmt: skip
+    strain: dict[str, float | None] = {}
+    stress: dict[str, float | None] = {}
+    if path == "isotropic":
+        strain = {"xx-yy": None, "yy-zz": None}
+    elif path == "triaxial":
+        # the same strain along x and z: at an edge of a yield surface stress alone leaves it open
+        stress, strain = {"xx": None}, {"xx-zz": None}
+    elif path == "undrained triaxial":
+        strain = {"volume": None, "xx-zz": None}
+    elif shear and path == "simple shear":
+        stress = {"yy": None}
+    found = []
+    for turn in turns:
+        end = {lead: number("to", turn)}
+        of_strain = {**strain, **(end if by == "strain" else {})}
+        of_stress = {**stress, **(end if by == "stress" else {})}
+        found.append(leg(of_strain, of_stress, steps))
+    return found
+
+
+def _own(path: Any, to: Any, steps: int) -> list[Leg]:
+    if not isinstance(path, Sequence) or not len(path):
+        raise ParameterError(
+            f"path = {shown(path)} must be one of {', '.join(_PATHS)}; or a list of legs, such as "
+            "{'strain': {'yy': -0.01}, 'stress': {'xx': -1e5, 'zz': -1e5}}"
+        )
+    found = []
+    for part in path:
+        if not isinstance(part, Mapping) or set(part) - {"strain", "stress", "steps"}:
+            raise ParameterError(
+                f"the leg {shown(part)} must be a dictionary with strain, stress and steps"
+            )
+        found.append(leg(part.get("strain", {}), part.get("stress", {}), part.get("steps", steps)))
+    if to is not None:
+        raise ParameterError(
+            f"to = {shown(to)} is for paths by name; legs have values of their own"
+        )
+    return found
