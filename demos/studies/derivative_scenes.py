@@ -12,7 +12,7 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 from dolfinmpm.study import Run
 
-__all__ = ["CASES", "SAND", "SIZES", "footing"]
+__all__ = ["CASES", "SAND", "by_whole_runs", "footing", "history_of", "sizes_of"]
 
 # of Newton's method, so that differences of whole runs are exact
 TIGHT = 1e-12
@@ -297,8 +297,6 @@ WET = {"E": 1e6, "nu": 0.2, "permeability": 1e-5, "load": 50e3}
 BAR = {"E": 100.0, "density": 1.0, "velocity": 0.1}
 SAND = CLAY | {"angle": 20.0, "pressure": 60e3, "K0": 0.5}
 
-# sizes of parameters that are lengths
-SIZES = {"height": 0.01}
 # name → scene, parameters
 CASES = {
     "elastic": (column, SOFT),
@@ -343,3 +341,32 @@ CASES = {
     "displacement control": (partial(arch, control="displacement"), {"E": 1e6, "nu": 0.2}),
     "explicit": (partial(swing, problem=mpm.Explicit), BAR),
 }
+
+
+def sizes_of(name):
+    """Sizes of the parameters of an example that are no logarithms: distances to the body (m)."""
+    return {"height": 0.01} if CASES[name][1] in (PRESS, RUB) or name == "disc in clay" else {}
+
+
+def history_of(scene, parameters):
+    """Figures of a whole run after each step, by name."""
+    run = scene(parameters)
+    found = {name: [] for name in run.measured}
+    for step in run.steps:
+        step()
+        for name, get in run.measured.items():
+            found[name].append(np.array(get(), float))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def by_whole_runs(scene, parameters, name, size, h=1e-4):
+    """Derivatives of the figures of a run by Richardson's rule for differences of whole runs."""
+    found = []
+    for step in (h, 2 * h):
+        up, down = (
+            history_of(scene, {**parameters, name: parameters[name] + sign * step * size})
+            for sign in (1, -1)
+        )
+        found.append({k: (up[k] - down[k]) / (2 * step) for k in up})
+    fine, coarse = found
+    return {k: (4 * fine[k] - coarse[k]) / 3 for k in fine}

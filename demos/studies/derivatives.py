@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from derivative_scenes import CASES, SAND, SIZES, footing
+from derivative_scenes import CASES, SAND, by_whole_runs, footing, history_of, sizes_of
 from options import Options, natural, option, positive
 from scene import finish, say
 
@@ -51,41 +51,15 @@ HOW = {"central": not args.one_sided, "epsilon": args.epsilon}
 
 
 # %%
-def history_of(scene, parameters):
-    """Figures of a whole run after each step, by name."""
-    run = scene(parameters)
-    found = {name: [] for name in run.measured}
-    for step in run.steps:
-        step()
-        for name, get in run.measured.items():
-            found[name].append(np.array(get(), float))
-    return {name: np.array(values) for name, values in found.items()}
-
-
-def by_whole_runs(scene, parameters, name, size):
-    """Derivatives of the figures by differences of whole runs, and how far they are exact."""
-    h, found = args.difference, []
-    for step in (h, 2 * h):
-        up, down = (
-            history_of(scene, {**parameters, name: parameters[name] + sign * step * size})
-            for sign in (1, -1)
-        )
-        found.append({k: (up[k] - down[k]) / (2 * step) for k in up})
-    fine, coarse = found
-    return {k: (4 * fine[k] - coarse[k]) / 3 for k in fine}
-
-
 def compare(name):
     """One row of the table: an example, and the largest error per parameter."""
     scene, parameters = CASES[name]
-    # lengths of the body itself by their logarithm, distances to it by their size
-    sizes = {k: v for k, v in SIZES.items() if k in parameters and scene is not CASES["elastic"][0]}
-    found = study.differentiate(scene, parameters, scales=sizes, **HOW)
+    found = study.differentiate(scene, parameters, scales=sizes_of(name), **HOW)
     derivatives = found.derivatives
     largest = {k: max(np.abs(d).max() for d in by.values()) for k, by in derivatives.items()}
     errors = {}
     for m in parameters:
-        whole = by_whole_runs(scene, parameters, m, found.scales[m])
+        whole = by_whole_runs(scene, parameters, m, found.scales[m], args.difference)
         errors[m] = max(
             float(np.abs(whole[k] - by[m]).max() / largest[k]) for k, by in derivatives.items()
         )

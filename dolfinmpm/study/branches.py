@@ -89,12 +89,17 @@ class Marks:
                 now, old = points.fields.read(name), before[name]
                 if at is not None:
                     now, old = now[at], old[rows]
-                changed = (now != old).reshape(len(now), -1).any(axis=1)
+                changed = np.any(now != old, axis=tuple(range(1, now.ndim)))
                 numbers = ids if at is None else ids[at]
                 found["points start or stop to yield"].append(np.sort(numbers[changed]))
             if self._kinks:
                 now, old = points.fields.read("cell"), before["cell"]
-                changed = now != old if at is None else np.isin(ids, ids[at], invert=True)
+                changed = np.ones(len(ids), bool)
+                if at is None:
+                    changed = now != old
+                else:
+                    # points that come from another rank have crossed a cell
+                    changed[at] = now[at] != old[rows]
                 found["points cross a cell"].append(np.sort(ids[changed]))
         return found
 

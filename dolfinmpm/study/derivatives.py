@@ -22,10 +22,15 @@ __all__ = ["Derivatives", "Run", "differentiate"]
 
 Array = npt.NDArray[np.float64]
 Scene = Callable[[dict[str, float]], "Run"]
+# name of a figure → parameter → values after each step
+_Found = dict[str, dict[str, list[Array]]]
 
 # Perturbation of a parameter as a share of its size, in central and in one-sided differences. Their
 # rounding is 1e-16 over it. The third derivative counts with its square, the second with itself.
 CENTRAL, ONE_SIDED = 1e-6, 3e-8
+# Ratio of the second perturbation of an estimate to the first one, and the estimated error from
+# which a derivative is doubtful
+_SECOND, _DOUBTFUL = 8.0, 1e-3
 
 
 @dataclass
@@ -78,8 +83,8 @@ class Derivatives:
         derivatives: Name → parameter → Δm times the derivative after each step, the same shape.
         notes: What the derivatives have met, such as points that start to yield within the
             perturbation.
-        errors: Parameter → difference of its derivatives with another perturbation, relative to
-            the largest value. Empty where no estimate was made.
+        errors: Parameter → estimated error: the largest difference of its derivatives with another
+            perturbation, relative to the largest value. Empty where no estimate was made.
         seconds: Wall time of "run", and of each parameter by its name (s).
 
     The stress in a bar is proportional to Young's modulus:
@@ -240,6 +245,7 @@ def differentiate(
     scales: Mapping[str, float] | None = None,
     central: bool = True,
     epsilon: float | None = None,
+    estimate: bool = False,
 ) -> Derivatives:
     """Figures of a run and their derivatives by its parameters, in one run. Collective.
 
@@ -261,6 +267,8 @@ def differentiate(
             m + ε Δm, takes half the time, and some digits are lost.
         epsilon: Perturbation of a parameter, as a share of Δm: by default 1e-6, and 3e-8 for one
             run per parameter.
+        estimate: Whether to estimate errors by a second perturbation, 8 times as large, in twice
+            the time. A derivative that does not exist differs from one perturbation to another.
 
     Returns:
         Figures and derivatives after each step.
@@ -301,17 +309,21 @@ def differentiate(
     check_function("scene", scene, "of a dictionary of parameters")
     sizes = _sizes(parameters, {} if scales is None else scales)
     truth("central", central)
+    truth("estimate", estimate)
     epsilon = (CENTRAL if central else ONE_SIDED) if epsilon is None else epsilon
-    number("epsilon", epsilon, 0.0, 0.1)
+    number("epsilon", epsilon, 0.0, 0.01)
     started = time.perf_counter()
     tape, base = Tape(), _Member(scene, parameters)
     for problem in base.problems:
         if isinstance(problem, QuasiStatic):
             record(problem, tape)
     signs = (1, -1) if central else (1,)
-    pairs = [_Pair(scene, parameters, k, sizes[k], epsilon, signs, tape) for k in parameters]
+    sets = [
+        [_Pair(scene, parameters, k, sizes[k], times * epsilon, signs, tape) for k in parameters]
+        for times in ((1.0, _SECOND) if estimate else (1.0,))
+    ]
     figures: dict[str, list[Array]] = {k: [] for k in base.run.measured}
-    derivatives: dict[str, dict[str, list[Array]]] = {k: {m: [] for m in sizes} for k in figures}
+    found: list[_Found] = [{k: {m: [] for m in sizes} for k in figures} for _ in sets]
     while True:
         tape.clear()
         if not base.advance():
@@ -319,18 +331,33 @@ def differentiate(
         marks = base.marks.end()
         for k, value in base.measure().items():
             figures[k].append(value)
-        for pair in pairs:
-            for k, value in pair.advance(base, marks).items():
-                derivatives[k][pair.name].append(value)
-    seconds = {pair.name: pair.seconds for pair in pairs}
+        for pairs, derivatives in zip(sets, found):
+            for pair in pairs:
+                for k, value in pair.advance(base, marks).items():
+                    derivatives[k][pair.name].append(value)
+    seconds = {name: sum(p.seconds for pairs in sets for p in pairs if p.name == name)
+               for name in sizes}  # fmt: skip
     seconds["run"] = time.perf_counter() - started - sum(seconds.values())
+    errors = {m: _difference(m, *found) for m in sizes} if estimate else {}
     return Derivatives(
         dict(parameters), sizes,
         {k: np.array(values) for k, values in figures.items()},
-        {k: {m: np.array(v) for m, v in by.items()} for k, by in derivatives.items()},
-        [text for pair in pairs for text in pair.told()],
-        {}, seconds,
+        {k: {m: np.array(v) for m, v in by.items()} for k, by in found[0].items()},
+        [text for pair in sets[0] for text in pair.told()]
+        + [f"{m}: two perturbations differ by {e:.1%}, so that the derivative may not exist"
+           for m, e in errors.items() if e > _DOUBTFUL],
+        errors, seconds,
     )  # fmt: skip
+
+
+def _difference(name: str, one: _Found, two: _Found) -> float:
+    """Largest difference of two derivatives by a parameter, relative to the largest value."""
+    found = [0.0]
+    for k, by in one.items():
+        a, b = np.array(by[name]), np.array(two[k][name])
+        size = np.abs(a).max(initial=0.0)
+        found.append(float(np.abs(a - b).max(initial=0.0) / size) if size else 0.0)
+    return max(found)
 
 
 def _sizes(parameters: Mapping[str, float], scales: Mapping[str, float]) -> dict[str, float]:

@@ -14,7 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
+from petsc4py import PETSc
 
+from dolfinmpm._platform.errors import ConvergenceError
 from dolfinmpm.contact.contactpoints import ActiveContact
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.solve.bordered import Border, Bordered
@@ -126,12 +128,36 @@ class Tape:
             self._solvers.append(newton.linear.twin(self.readers))
         stage.force = unknowns.restrict(operator.forces())
         stage.linear = self._solvers[at]
-        stage.linear.attach(operator)
-        assert stage.linear.matrix is not None
-        operator.tangent(stage.linear.matrix)
+        _factor(stage.linear, operator)
         stage.states = _contact_states(operator)
         if border is not None:
             stage.border = _BorderAt.of(border, outcome.x, stage.linear, unknowns.comm)
+
+
+def _factor(linear: LinearSolver, operator: Operator) -> None:
+    """Assemble and factor the tangent, by other methods after failures. Collective.
+
+    Beyond a limit point the tangent is indefinite, so that Cholesky's factors do not exist.
+
+    Raises:
+        ConvergenceError: No method can solve with the tangent.
+    """
+    while True:
+        try:
+            linear.attach(operator)
+            assert linear.matrix is not None
+            operator.tangent(linear.matrix)
+            linear.solve(np.zeros(operator.here.unknowns.owned))
+            if not linear.stuck:
+                return
+            another = linear.enlarge() or linear.relax()
+        except PETSc.Error as error:
+            linear.why(error)
+            another = linear.relax()
+        if not another:
+            raise ConvergenceError(
+                "the tangent of a converged step is singular: it has no derivatives"
+            )
 
 
 def _contact_states(operator: Operator) -> list[npt.NDArray[np.int8]]:
