@@ -7,6 +7,7 @@ from dolfinmpm.io.studyplots import (
 )
 from dolfinmpm.io.tables import read_table, write_table
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
+from dolfinmpm.study.calibration import Calibration, calibrate
 from dolfinmpm.study.condition import Conditioning, conditioning
 from dolfinmpm.study.derivatives import Derivatives, Run, differentiate
 from dolfinmpm.study.elementtest import element_test
@@ -15,11 +16,13 @@ from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, 
 from dolfinmpm.study.trial import FactorOfSafety, Trial
 
 __all__ = [
+    "Calibration",
     "Conditioning",
     "Derivatives",
     "FactorOfSafety",
     "Run",
     "Trial",
+    "calibrate",
     "condition_number",
     "conditioning",
     "convergence",

@@ -18,7 +18,7 @@ from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import Marks, differences, mirror
 from dolfinmpm.study.tape import Reader, Tape, follow, record
 
-__all__ = ["Derivatives", "Run", "differentiate"]
+__all__ = ["Derivatives", "Run", "Scene", "differentiate", "sizes_of"]
 
 Array = npt.NDArray[np.float64]
 Scene = Callable[[dict[str, float]], "Run"]
@@ -307,7 +307,7 @@ def differentiate(
     ([-0.0079, -0.0158], [0.0079, 0.0158])
     """
     check_function("scene", scene, "of a dictionary of parameters")
-    sizes = _sizes(parameters, {} if scales is None else scales)
+    sizes = sizes_of(parameters, {} if scales is None else scales)
     truth("central", central)
     truth("estimate", estimate)
     epsilon = (CENTRAL if central else ONE_SIDED) if epsilon is None else epsilon
@@ -360,7 +360,7 @@ def _difference(name: str, one: _Found, two: _Found) -> float:
     return max(found)
 
 
-def _sizes(parameters: Mapping[str, float], scales: Mapping[str, float]) -> dict[str, float]:
+def sizes_of(parameters: Mapping[str, float], scales: Mapping[str, float]) -> dict[str, float]:
     """The sizes Δm of the parameters.
 
     Raises:
