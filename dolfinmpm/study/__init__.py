@@ -11,7 +11,16 @@ from dolfinmpm.study.calibration import Calibration, calibrate
 from dolfinmpm.study.condition import Conditioning, conditioning
 from dolfinmpm.study.derivatives import Derivatives, Run, differentiate
 from dolfinmpm.study.elementtest import element_test
+from dolfinmpm.study.randomfields import RandomField
 from dolfinmpm.study.reduction import factor_of_safety, reduced_strength
+from dolfinmpm.study.reliability import (
+    LimitState,
+    LogNormal,
+    Normal,
+    Reliability,
+    limit_state,
+    reliability,
+)
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 from dolfinmpm.study.trial import FactorOfSafety, Trial
 
@@ -20,6 +29,11 @@ __all__ = [
     "Conditioning",
     "Derivatives",
     "FactorOfSafety",
+    "LimitState",
+    "LogNormal",
+    "Normal",
+    "RandomField",
+    "Reliability",
     "Run",
     "Trial",
     "calibrate",
@@ -33,10 +47,12 @@ __all__ = [
     "draw_sweep",
     "element_test",
     "factor_of_safety",
+    "limit_state",
     "observed_orders",
     "overall_order",
     "read_table",
     "reduced_strength",
+    "reliability",
     "rigid_modes",
     "sweep",
     "worst",
