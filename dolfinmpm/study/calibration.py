@@ -167,7 +167,7 @@ class _Residuals:
         count = sum(int(np.isfinite(values).sum()) for values in self._measured.values())
         residuals, slopes = np.full(count, np.inf), np.full((count, x.size), np.nan)
         try:
-            found = differentiate(self._built, m, scales=scales)
+            found = differentiate(self._built, m, scales=scales, central=False)
         except (ConvergenceError, PointsOutsideGridError, StateError) as error:
             if not self.trace:
                 raise
@@ -221,8 +221,9 @@ def calibrate(
 ) -> Calibration:
     """Find the parameters of an example that fit measurements best. Collective.
 
-    SciPy's `least_squares` takes residuals and derivatives from one run of `differentiate` each.
-    Positive parameters are sought by their logarithm. A run that fails shortens the step.
+    SciPy's `least_squares` takes residuals and one-sided derivatives from one run of
+    `differentiate` each. Positive parameters are sought by their logarithm. A run that fails
+    shortens the step.
     Confidence intervals follow from the derivatives at the best fit, with the variance of the
     residuals there, (Σ r²)/(n − p), and Student's distribution: see Seber & Wild (1989),
     *Nonlinear regression*, section 2.1. They hold for independent errors of the measurements.

@@ -264,7 +264,7 @@ def differentiate(
             a size, Δm is the value itself, so that derivatives are by ln m. A parameter whose value
             is zero needs a size.
         central: Whether two runs per parameter, at m ± ε Δm, give the derivative. One run, at
-            m + ε Δm, takes half the time, and some digits are lost.
+            m + ε Δm, takes half the time, and loses two digits.
         epsilon: Perturbation of a parameter, as a share of Δm: by default 1e-6, and 3e-8 for one
             run per parameter.
         estimate: Whether to estimate errors by a second perturbation, 8 times as large, in twice

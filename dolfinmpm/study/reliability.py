@@ -154,7 +154,7 @@ class LimitState:
         known = self._known.get(x.tobytes())
         if known is None or known[1] is None:
             m = self._named(x)
-            found = differentiate(self._built, m, scales=self._sizes)
+            found = differentiate(self._built, m, scales=self._sizes, central=False)
             by = found.derivatives[self._limit]
             values = [float(by[k][-1]) / self._sizes[k] for k in self.names]
             self._keep(x, float(found.figures[self._limit][-1]), np.array(values))
