@@ -7,7 +7,7 @@
 # are right, each of them contains the truth for some 19 of 20 seeds of the errors.
 #
 # The settlement alone (`--settlement`) tells cohesion and friction angle only together: the
-# intervals are three times as wide, and a fit takes up to 13 runs in place of 5.
+# intervals are two to three times as wide, and a fit takes up to 13 runs in place of 7.
 
 # %%
 from __future__ import annotations
