@@ -34,6 +34,14 @@ class Border(Protocol):
     tolerance: float
     unmet: str
 
+    @property
+    def settled(self) -> bool:
+        """Whether `predict` sets nothing that the equations keep."""
+
+    @property
+    def value(self) -> Array:
+        """The unknowns y, shape (m,)."""
+
     def begin(self, operator: Operator) -> None:
         """Begin a step with its equations. Collective."""
 

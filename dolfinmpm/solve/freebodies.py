@@ -61,6 +61,7 @@ class FreeBodies:
     """
 
     unmet = "the forces on a free rigid body were not balanced"
+    settled = True
 
     def __init__(self, bodies: RigidBodies, tolerance: float):
         self.tolerance = tolerance
@@ -106,6 +107,12 @@ class FreeBodies:
             free.increment[free.free] += change[at : at + n] / self._level
             at += n
             body.put(self._put_at)
+
+    @property
+    def value(self) -> Array:
+        """See `Border`: the increments at the level of balance, body by body."""
+        free = [body.freedom for body in self._bodies]
+        return np.concatenate([self._level * f.increment[f.free] for f in free])  # type: ignore
 
     def _columns(self, nodal: Array, field: int) -> Array:
         """Entries of nodal forces at the owned unknowns, by columns. Collective.

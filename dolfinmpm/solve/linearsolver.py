@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 _FACTORISATION = (76, 71, 81)
 # Bound of yᵀKx − xᵀKy by rounding, relative to the size of the products
 _SYMMETRIC = 1e-9
+# Solutions per matrix from which complete factors are cheaper than incomplete ones
+_MANY = 3
 # Size of the increments in the test of symmetry, in cells
 _NEAR = 1e-4
 
@@ -66,6 +68,18 @@ class LinearSolver:
         # norm of the residual one Newton iteration before
         self._former: float | None = None
         self.snes: Any = None
+
+    def twin(self, solutions: int) -> LinearSolver:
+        """A solver with the same choices so far, and with a matrix and factors of its own.
+
+        Args:
+            solutions: Number of solutions per matrix. Factors are cheaper than several solutions
+                with incomplete factors.
+        """
+        other = LinearSolver(self._comm, self._gdim, self.choice.tangent, self._options)
+        other._checked = self._checked
+        other.choice.no_incomplete = solutions >= _MANY
+        return other
 
     def in_blocks(self, count: int) -> bool:
         """Whether the method for a number of unknowns needs the unknowns of a node in a block."""
@@ -244,15 +258,20 @@ class LinearSolver:
         assert self.matrix is not None
         return self.matrix.petsc.createVecRight()
 
-    def solve(self, right: Array) -> Array:
+    def solve(self, right: Array, guess: Array | None = None) -> Array:
         """Solve with the last assembled tangent. Collective.
 
         Args:
             right: Right-hand side, shape (owned,).
+            guess: First guess of the solution for iterations, likewise, or None.
         """
         method, ksp = self.method, self._ksp
         b, y = self.vector(), self.vector()
         b.getArray()[:] = right
+        guessed = guess is not None and ksp.getType() != "preonly"
+        if guessed:
+            y.getArray()[:] = guess
+        ksp.setInitialGuessNonzero(guessed)
         if self.reuse is not None and method is not None:
             ksp.setTolerances(rtol=krylov.DIGITS, atol=1e-300)
             if method.factors or method.incomplete:
@@ -260,6 +279,7 @@ class LinearSolver:
                 self.reuse.renew()
         self._prepare()
         ksp.solve(b, y)
+        ksp.setInitialGuessNonzero(False)
         self.stuck = ksp.getConvergedReason() < 0
         return np.array(y.getArray(readonly=True))
 

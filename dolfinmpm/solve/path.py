@@ -99,6 +99,16 @@ class PathBorder:
         """See `Border`."""
         self.load.set(self._start)
 
+    @property
+    def settled(self) -> bool:
+        """See `Border`: whether the length of the step and ψ are known."""
+        return self.length is not None and self.constraint.psi is not None
+
+    @property
+    def value(self) -> Array:
+        """See `Border`: the load factor, shape (1,)."""
+        return np.array([self.load.value])
+
     def _dot(self, a: Array, b: Array) -> float:
         comm = self._operator.here.unknowns.comm
         return comm.allreduce(float(a @ b), op=MPI.SUM)

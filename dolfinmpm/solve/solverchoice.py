@@ -101,6 +101,7 @@ class MethodChoice:
         tangent: The argument.
         doubt: Time for which the tangent counts as indefinite.
         no_substructures: Reason against one substructure per rank, or an empty string.
+        no_incomplete: Whether incomplete factors are left out.
     """
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
@@ -108,7 +109,7 @@ class MethodChoice:
         if options.get("pc_type") not in (None, "mg"):
             # another multigrid by options has its own levels
             tangent = replace(tangent, degree=0)
-        self.tangent, self.doubt = tangent, Doubt()
+        self.tangent, self.doubt, self.no_incomplete = tangent, Doubt(), False
         self.no_substructures = why_not(comm)
         if options.mentions("mat_mumps_"):
             self.no_substructures = "the options set MUMPS"
@@ -127,7 +128,8 @@ class MethodChoice:
         free = not any(self._options.has(name) for name in _OF_METHOD)
         found = choose(
             replace(self.tangent, definite=self.definite), count, self._gdim, self._ranks,
-            self._direct, free and self._incomplete.incomplete, not self.no_substructures,
+            self._direct, free and self._incomplete.incomplete and not self.no_incomplete,
+            not self.no_substructures,
         )  # fmt: skip
         if self._ranks > 1 and self.no_substructures and self.definite and found.pc == "cholesky":
             why = f"{found.why}, not in substructures: {self.no_substructures}"

@@ -7,29 +7,52 @@ from dolfinmpm.io.studyplots import (
 )
 from dolfinmpm.io.tables import read_table, write_table
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
+from dolfinmpm.study.calibration import Calibration, calibrate
 from dolfinmpm.study.condition import Conditioning, conditioning
+from dolfinmpm.study.derivatives import Derivatives, Run, differentiate
 from dolfinmpm.study.elementtest import element_test
+from dolfinmpm.study.randomfields import RandomField
 from dolfinmpm.study.reduction import factor_of_safety, reduced_strength
+from dolfinmpm.study.reliability import (
+    LimitState,
+    LogNormal,
+    Normal,
+    Reliability,
+    limit_state,
+    reliability,
+)
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 from dolfinmpm.study.trial import FactorOfSafety, Trial
 
 __all__ = [
+    "Calibration",
     "Conditioning",
+    "Derivatives",
     "FactorOfSafety",
+    "LimitState",
+    "LogNormal",
+    "Normal",
+    "RandomField",
+    "Reliability",
+    "Run",
     "Trial",
+    "calibrate",
     "condition_number",
     "conditioning",
     "convergence",
     "critical_step",
+    "differentiate",
     "draw_convergence",
     "draw_reduction",
     "draw_sweep",
     "element_test",
     "factor_of_safety",
+    "limit_state",
     "observed_orders",
     "overall_order",
     "read_table",
     "reduced_strength",
+    "reliability",
     "rigid_modes",
     "sweep",
     "worst",

@@ -13,6 +13,8 @@ from conftest import start
 
 # where a point yields a little earlier, rounding is carried on from step to step
 TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
+# derivatives are differences of two runs over 2e-6 of a parameter
+TOLERANCES |= {"derivatives": 1e-6, "derivatives_in_contact": 1e-6}
 # variants of other cases, which run with --long only, on three ranks
 VARIANTS = {
     "adaptive_penalties",
@@ -22,6 +24,7 @@ VARIANTS = {
     "boundary_3d",
     "contact_restart_in_fused_steps",
     "deposits",
+    "derivatives_in_contact",
     "explicit_restart",
     "facets_of_few_ranks",
     "fbar_3d",

@@ -21,9 +21,9 @@ BUILT_TOGETHER = {"fenics-dolfinx", "mpi4py", "petsc4py", "slepc4py"}
 # names of Debian and conda-forge that differ from those on PyPI
 DEBIAN = {"fenics-dolfinx": "python3-dolfinx-real", "vtk": "python3-vtk9"}
 CONDA = {"matplotlib": "matplotlib-base"}
-# what installs the package, and what Debian does not have
+# what installs the package; what Debian does not have, or the tests take from PyPI
 INSTALLERS = {"pip", "setuptools", "wheel"}
-NOT_IN_DEBIAN = {"ruff"}
+NOT_IN_DEBIAN = {"openturns", "ruff"}
 
 
 def split(requirement):

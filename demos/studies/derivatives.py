@@ -1,0 +1,111 @@
+# %% [markdown]
+# # Derivatives of a run, beside differences of whole runs
+#
+# `study.differentiate` runs an example at its parameters, and at $m \pm \varepsilon\,\Delta m$
+# beside it. The runs beside it solve their equations once per substep with the tangent of the run
+# between them: $u' = u - K^{-1}\,[R(u; s', m') - R(u; s, m)]$. The difference of the two is the
+# derivative. No derivative of a law, of a term or of a basis function is written anywhere.
+#
+# Here each example also runs as a whole at $m \pm h\,\Delta m$ and $m \pm 2h\,\Delta m$, to
+# tight tolerances. Richardson's rule for these four, $(4 D_h - D_{2h})/3$, is what the
+# derivatives are compared with. An error is relative to the largest derivative of a figure by any
+# parameter of the example, over all steps.
+#
+# `--time` measures what derivatives cost: a Mohr–Coulomb footing of 10 000 points with none, one
+# and several parameters, in turn.
+
+# %%
+from __future__ import annotations
+
+import statistics
+import time
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from derivative_scenes import CASES, SAND, by_whole_runs, footing, history_of, sizes_of
+from options import Options, natural, option, positive
+from scene import finish, say
+
+from dolfinmpm import study
+
+
+# %%
+@dataclass
+class Input(Options):
+    """Derivatives of runs, and what they cost."""
+
+    cases: str = option("", "names of examples, with semicolons between; by default all")
+    difference: float = positive(1e-4, "h of the differences of whole runs")
+    epsilon: float | None = positive(None, "perturbation of the runs that follow")
+    one_sided: bool = option(False, "one run per parameter, in half the time")
+    time: bool = option(False, "measure times instead")
+    cells: int = natural(70, "cells along the footing's layer, for --time")
+    steps: int = natural(20, "steps of the footing, for --time")
+    further: int = option(5, "further parameters, for --time", least=1, most=5)
+    repeat: int = natural(3, "runs of each kind, for --time")
+
+
+args = Input.parse()
+HOW = {"central": not args.one_sided, "epsilon": args.epsilon}
+
+
+# %%
+def compare(name):
+    """One row of the table: an example, and the largest error per parameter."""
+    scene, parameters = CASES[name]
+    found = study.differentiate(scene, parameters, scales=sizes_of(name), **HOW)
+    derivatives = found.derivatives
+    largest = {k: max(np.abs(d).max() for d in by.values()) for k, by in derivatives.items()}
+    errors = {}
+    for m in parameters:
+        whole = by_whole_runs(scene, parameters, m, found.scales[m], args.difference)
+        errors[m] = max(
+            float(np.abs(whole[k] - by[m]).max() / largest[k]) for k, by in derivatives.items()
+        )
+    return {"case": name, "error": max(errors.values()), "errors": errors, "notes": found.notes}
+
+
+# %%
+def seconds_of(call):
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def costs():
+    """Time of runs with parameters over the time of a run without, as medians."""
+    scene = partial(footing, cells=args.cells, steps=args.steps, tolerance=1e-9)
+    # three quarters of the bearing capacity
+    sand = SAND | {"pressure": 150e3}
+    names = ["E", "angle", "cohesion", "pressure", "K0", "nu"]
+
+    def run(count):
+        if count == 0:
+            return lambda: history_of(scene, sand)
+        chosen = {k: sand[k] for k in names[:count]}
+        rest = {k: v for k, v in sand.items() if k not in chosen}
+        return lambda: study.differentiate(lambda m: scene({**rest, **m}), chosen, **HOW)
+
+    few, many = run(1), run(1 + args.further)
+    for call in (run(0), few):
+        # compilations
+        call()
+    rows = [[seconds_of(call) for call in (run(0), few, many)] for _ in range(args.repeat)]
+    first = statistics.median((one - none) / none for none, one, _ in rows)
+    further = statistics.median((all_ - one) / args.further / none for none, one, all_ in rows)
+    return {"seconds": rows, "first": first, "further": further}
+
+
+# %%
+if args.time:
+    figures = costs()
+    say(f"first parameter {figures['first']:.0%} of a run, each further {figures['further']:.0%}")
+else:
+    chosen = args.cases.split(";") if args.cases else list(CASES)
+    rows = [compare(name) for name in chosen]
+    for row in rows:
+        each = ", ".join(f"{m} {error:.0e}" for m, error in row["errors"].items())
+        say(f"{row['case']:28s} {row['error']:.1e}   {each} {' '.join(row['notes'])}")
+    figures = {"rows": rows}
+finish(args, figures)

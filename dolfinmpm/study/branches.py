@@ -1,0 +1,155 @@
+"""Where runs at neighbouring parameters take different ways, and the mirror image of a run.
+
+A derivative follows from two runs at m ± ε Δm that take the same way: the same cells are active,
+the same points yield, touch and slip. If one run leaves the way of the run at m, the other run and
+the run at m give a one-sided difference. The run that left is then set to the mirror image of the
+other one, s(−) = 2 s − s(+), and goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm.assembly.state import Local, OfCells
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.solve.problem import Problem
+
+__all__ = ["Marks", "mirror", "points_of"]
+
+Array = npt.NDArray[Any]
+
+
+def points_of(problems: Sequence[Problem]) -> list[MaterialPoints]:
+    """All points and markers of some problems, each once."""
+    found: list[MaterialPoints] = []
+    for problem in problems:
+        markers = [of.boundary.markers for of in problem.form.boundaries]
+        found += [p for p in (problem.points, *markers) if not any(p is q for q in found)]
+    return found
+
+
+class Marks:
+    """Which points of a run yield in a step, and which points cross a cell.
+
+    Args:
+        problems: The problems of the run.
+    """
+
+    def __init__(self, problems: Sequence[Problem]):
+        self._problems = problems
+        self._points: list[MaterialPoints] = []
+        for problem in problems:
+            if not any(problem.points is p for p in self._points):
+                self._points.append(problem.points)
+        # functions with a kink at the border of cells
+        spaces = [space for problem in problems for space in problem.form.spaces]
+        self._kinks = any(not s.basis.averaged and s.basis.continuity == 0 for s in spaces)
+        self._before: list[dict[str, Array]] = []
+
+    def _names(self, points: MaterialPoints) -> list[str]:
+        """Names of the internal variables of the laws."""
+        laws = [
+            d.law for p in self._problems if p.points is points for d in p.form.parts.declarations
+        ]
+        names = {name for law in laws for name in getattr(law, "internal", ())}
+        return sorted(name for name in names if name in points.fields)
+
+    def begin(self) -> None:
+        """Keep the state at the start of a step."""
+        self._before = [
+            {
+                name: points.fields.read(name).copy()
+                for name in ("id", "cell", *self._names(points))
+                if name in points.fields
+            }
+            for points in self._points
+        ]
+
+    def end(self) -> dict[str, list[Array]]:
+        """What has happened in the step, as sets of the points' numbers, by words for it."""
+        found: dict[str, list[Array]] = {"points start or stop to yield": []}
+        if self._kinks:
+            found["points cross a cell"] = []
+        for points, before in zip(self._points, self._before):
+            ids, at = points.fields.read("id"), None
+            first = np.asarray(before["id"])
+            if not np.array_equal(ids, first):
+                # points that changed rank are left out
+                at = np.flatnonzero(np.isin(ids, first))
+                order = np.argsort(first)
+                rows = order[np.searchsorted(first[order], ids[at])]
+            for name in self._names(points):
+                if name not in before:
+                    continue
+                now, old = points.fields.read(name), before[name]
+                if at is not None:
+                    now, old = now[at], old[rows]
+                changed = np.any(now != old, axis=tuple(range(1, now.ndim)))
+                numbers = ids if at is None else ids[at]
+                found["points start or stop to yield"].append(np.sort(numbers[changed]))
+            if self._kinks:
+                now, old = points.fields.read("cell"), before["cell"]
+                changed = np.ones(len(ids), bool)
+                if at is None:
+                    changed = now != old
+                else:
+                    # points that come from another rank have crossed a cell
+                    changed[at] = now[at] != old[rows]
+                found["points cross a cell"].append(np.sort(ids[changed]))
+        return found
+
+
+def differences(comm: MPI.Intracomm, a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, int]:
+    """Number of points in which two results of `Marks.end` differ, by words. Collective."""
+    names = sorted({*a, *b})
+    counts = [
+        sum(np.setxor1d(p, q).size for p, q in zip(a.get(name, ()), b.get(name, ())))
+        for name in names
+    ]
+    sums = comm.allreduce(np.array(counts, np.int64), op=MPI.SUM)
+    return {name: int(n) for name, n in zip(names, sums) if n}
+
+
+def mirror(base: Sequence[Problem], good: Sequence[Problem], bad: Sequence[Problem]) -> bool:
+    """Set the state of a run to the mirror image of another run about a third run. Collective.
+
+    Args:
+        base: The problems of the run in the middle.
+        good: The problems of the run that is mirrored.
+        bad: The problems that get the mirror image.
+
+    Returns:
+        Whether it could be done: points that have gone to different ranks cannot be mirrored.
+    """
+    sets = list(zip(*(points_of(run) for run in (base, good, bad))))
+    comm = base[0].comm
+    alike = all(np.array_equal(a.fields.read("id"), b.fields.read("id")) for a, b, _ in sets)
+    if not comm.allreduce(alike, op=MPI.LAND):
+        return False
+    for a, b, c in sets:
+        for name in a.fields:
+            if name in b.fields:
+                c.fields[name] = _mirrored(a.fields.read(name), b.fields.read(name))
+        c.partition = a.partition
+        c.recount()
+    for problem, one, other in zip(base, good, bad):
+        known, more = problem.state(), one.state()
+        other.set_state({k: _mirrored(v, more.get(k, v)) for k, v in known.items()})
+    return True
+
+
+def _mirrored(a: Any, b: Any) -> Any:
+    """2 a − b of numbers and arrays of numbers; a of everything else."""
+    if isinstance(a, (Local, OfCells)):
+        return type(a)(_mirrored(a.values, b.values))
+    if isinstance(a, float) and isinstance(b, float):
+        return 2 * a - b
+    if isinstance(a, np.ndarray) and a.dtype == np.float64 and np.shape(b) == a.shape:
+        # values that are equal in both stay equal, also infinite ones
+        return np.where(a == b, a, 2 * a - b)
+    return a.copy() if isinstance(a, np.ndarray) else a

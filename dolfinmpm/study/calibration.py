@@ -1,0 +1,387 @@
+"""Calibration: parameters of an example from measurements, with their confidence intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.argumentchecks import check_function, number, shown, whole
+from dolfinmpm._platform.errors import (
+    ConvergenceError,
+    ParameterError,
+    PointsOutsideGridError,
+    StateError,
+)
+from dolfinmpm.study.derivatives import Run, Scene, differentiate, sizes_of
+
+__all__ = ["Calibration", "calibrate"]
+
+Array = npt.NDArray[np.float64]
+Bounds = Mapping[str, tuple[float, float]]
+
+# Relative standard deviation from which a parameter is called unknown, correlation from which two
+# parameters are called one, and share of the largest singular value that counts as zero
+_UNKNOWN, _ALIKE, _ZERO = 0.5, 0.95, 1e-7
+
+
+@dataclass
+class Calibration:
+    """Parameters that fit measurements best, and how well the measurements tell them.
+
+    Attributes:
+        parameters: Name → best value.
+        intervals: Name → lower and upper end of its confidence interval.
+        covariance: Covariance of the parameters, shape (p, p): of ln m where the start is positive,
+            of m over its size elsewhere.
+        correlation: Their correlation, shape (p, p).
+        singular_values: Singular values of the weighted derivatives, largest first, shape (p,).
+        directions: Their combinations of parameters, one per row, shape (p, p).
+        misfit: Root mean square of the weighted residuals.
+        figures: Name → figures of the best run after each step.
+        measured: Name → measurements.
+        trace: One row per run with derivatives: parameters, "misfit", and "failed", the reason of a
+            run that failed, or an empty string.
+        notes: Which parameters the measurements do not tell, in words.
+        message: Why the iterations ended.
+
+    Young's modulus of a bar from its stress:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> def scene(m):
+    ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
+    ...     V = mpm.Space(grid, "gimp")
+    ...     F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.0), points, V.increment, V.test)
+    ...     bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.01)
+    ...     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    ...     stress = lambda: points["stress"][:, 1, 1].mean()
+    ...     return mpm.study.Run(problem, [problem.step] * 3, {"stress": stress})
+    >>> measured = {"stress": [-3.1e3, -6.2e3, -9.3e3]}
+    >>> fit = mpm.study.calibrate(scene, {"E": 1e6}, measured)
+    >>> round(fit.parameters["E"], -3), len(fit.trace) < 8
+    (1231000.0, True)
+    """
+
+    parameters: dict[str, float]
+    intervals: dict[str, tuple[float, float]]
+    covariance: Array
+    correlation: Array
+    singular_values: Array
+    directions: Array
+    misfit: float
+    figures: dict[str, Array]
+    measured: dict[str, Array]
+    trace: list[dict[str, Any]]
+    notes: list[str]
+    message: str
+
+    def __str__(self) -> str:
+        """Parameters with their intervals, and the notes."""
+        rows = [
+            f"{name} = {value:.5g}, between {low:.5g} and {high:.5g}"
+            for (name, value), (low, high) in zip(self.parameters.items(), self.intervals.values())
+        ]
+        return "\n".join([*rows, f"misfit {self.misfit:.3g}, {len(self.trace)} runs", *self.notes])
+
+    def draw(self, axes: Any, name: str | None = None, **style: Any) -> None:
+        """Draw a measurement and the figure of the best run over the steps.
+
+        Args:
+            axes: Matplotlib's axes.
+            name: Name of the figure, by default the first.
+            style: Further arguments of Matplotlib's `plot`, for the best run.
+        """
+        name = next(iter(self.measured)) if name is None else name
+        steps = np.arange(1, len(self.measured[name]) + 1)
+        flat = self.measured[name].reshape(len(steps), -1), self.figures[name]
+        axes.plot(steps, flat[0], "o", mfc="none", label=f"{name}, measured")
+        axes.plot(steps, flat[1].reshape(len(steps), -1), label=f"{name}, best run", **style)
+        axes.set_xlabel("step")
+        axes.set_ylabel(name)
+        axes.legend()
+
+
+class _Residuals:
+    """Weighted residuals and their derivatives; both come from one run.
+
+    Args:
+        scene: The example.
+        start: First values of the parameters.
+        sizes: Sizes of the parameters.
+        measured: Name → measurements after each step; NaN where there is none.
+        weights: Name → weights, of the same shapes.
+        say: Function of a row of the trace, or None.
+
+    Attributes:
+        trace: Rows of the trace.
+    """
+
+    def __init__(
+        self, scene: Scene, start: Mapping[str, float], sizes: Mapping[str, float],
+        measured: dict[str, Array], weights: dict[str, Array],
+        say: Callable[[dict[str, Any]], Any] | None,
+    ):  # fmt: skip
+        self._scene, self._start, self._sizes, self._say = scene, dict(start), dict(sizes), say
+        self._measured, self._weights = measured, weights
+        self.trace: list[dict[str, Any]] = []
+        self._comm: MPI.Intracomm = MPI.COMM_SELF
+        self._known: dict[bytes, tuple[Array, Array, dict[str, Array]]] = {}
+
+    def at(self, x: Array) -> dict[str, float]:
+        """Parameters at coordinates: ln (m / start) of positive ones, (m − start) / size."""
+        return {
+            name: value * float(np.exp(q)) if value > 0 else value + float(q) * self._sizes[name]
+            for (name, value), q in zip(self._start.items(), x)
+        }
+
+    def coordinate(self, name: str, value: float) -> float:
+        """Coordinate of a value of a parameter; the inverse of `at`."""
+        start = self._start[name]
+        if start > 0:
+            return float(np.log(value / start)) if value > 0 else -np.inf
+        return (value - start) / self._sizes[name]
+
+    def _built(self, m: dict[str, float]) -> Run:
+        run = self._scene(m)
+        if isinstance(run, Run):
+            self._comm = run.problems[0].comm
+        return run
+
+    def run(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:
+        """Residuals, their derivatives, and figures, of a run at coordinates. Collective."""
+        # all ranks must take the same way to the last bit
+        x = np.asarray(self._comm.bcast(x))
+        if x.tobytes() not in self._known:
+            self._known = {x.tobytes(): self._new(x)}
+        return self._known[x.tobytes()]
+
+    def _new(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:
+        m, failed, figures = self.at(x), "", {}
+        scales = {k: self._sizes[k] for k, value in self._start.items() if value <= 0}
+        count = sum(int(np.isfinite(values).sum()) for values in self._measured.values())
+        residuals, slopes = np.full(count, np.inf), np.full((count, x.size), np.nan)
+        try:
+            found = differentiate(self._built, m, scales=scales, central=False)
+        except (ConvergenceError, PointsOutsideGridError, StateError) as error:
+            if not self.trace:
+                raise
+            failed = str(error)
+        else:
+            figures = found.figures
+            self._check(figures)
+            keep = {k: np.isfinite(values) for k, values in self._measured.items()}
+            residuals = np.concatenate([
+                (self._weights[k] * (figures[k] - values))[keep[k]]
+                for k, values in self._measured.items()
+            ])  # fmt: skip
+            slopes = np.concatenate([
+                np.stack([(w * found.derivatives[k][p])[keep[k]] for p in m], axis=-1)
+                for k, w in self._weights.items()
+            ])  # fmt: skip
+            residuals, slopes = self._comm.bcast((residuals, slopes))
+        misfit = float(np.sqrt(np.mean(residuals**2)))
+        row = {**m, "misfit": misfit, "failed": failed}
+        self.trace.append(row)
+        if self._say is not None:
+            self._say(row)
+        return residuals, slopes, figures
+
+    def _check(self, figures: Mapping[str, Array]) -> None:
+        """Raise ParameterError unless the run has all that was measured."""
+        for name, values in self._measured.items():
+            if name not in figures:
+                raise ParameterError(
+                    f"measured has '{name}', and the figures of the scene are {', '.join(figures)}"
+                )
+            if figures[name].shape != values.shape:
+                raise ParameterError(
+                    f"measured['{name}'] has the shape {values.shape}, and the figure has "
+                    f"{figures[name].shape}: one row per step, NaN where nothing was measured"
+                )
+
+
+def calibrate(
+    scene: Scene,
+    start: Mapping[str, float],
+    measured: Mapping[str, npt.ArrayLike],
+    *,
+    bounds: Bounds | None = None,
+    weights: Mapping[str, npt.ArrayLike] | None = None,
+    scales: Mapping[str, float] | None = None,
+    confidence: float = 0.95,
+    tolerance: float = 1e-6,
+    max_runs: int = 50,
+    progress: Callable[[dict[str, Any]], Any] | None = None,
+) -> Calibration:
+    """Find the parameters of an example that fit measurements best. Collective.
+
+    SciPy's `least_squares` takes residuals and one-sided derivatives from one run of
+    `differentiate` each. Positive parameters are sought by their logarithm. A run that fails
+    shortens the step.
+    Confidence intervals follow from the derivatives at the best fit, with the variance of the
+    residuals there, (Σ r²)/(n − p), and Student's distribution: see Seber & Wild (1989),
+    *Nonlinear regression*, section 2.1. They hold for independent errors of the measurements.
+
+    Args:
+        scene: Function of a dictionary of parameters that returns a `Run`.
+        start: Name → first value.
+        measured: Name of a figure → its measured values after each step, shape (steps, ...); NaN
+            where nothing was measured.
+        bounds: Name → least and largest value.
+        weights: Name of a figure → one over the standard deviation of its measurements, a number or
+            an array of their shape. By default one over the largest measured value.
+        scales: Name → size of a parameter whose start is not positive; see `differentiate`.
+        confidence: Probability of the confidence intervals.
+        tolerance: Relative change of the misfit, of the parameters, or size of its gradient, at
+            which the iterations end.
+        max_runs: Largest number of runs with derivatives.
+        progress: Function that gets each new row of the trace, such as `print`.
+
+    Raises:
+        ParameterError: A name is unknown, a shape is wrong, a start is out of bounds, or there are
+            fewer measurements than parameters.
+        ConvergenceError: The first run fails.
+
+    See `Calibration` for an example:
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.study.calibrate(lambda m: None, {"E": 1e6}, {"stress": []})
+    Traceback (most recent call last):
+    ...
+    dolfinmpm._platform.errors.ParameterError: 0 measurements cannot tell 1 parameters: measure more
+    """
+    # SciPy's optimisation takes a second to import
+    from scipy.optimize import least_squares
+
+    check_function("scene", scene, "of a dictionary of parameters")
+    sizes = sizes_of(start, {} if scales is None else scales)
+    number("confidence", confidence, 0.5, 0.9999)
+    number("tolerance", tolerance, 1e-14, 0.1)
+    whole("max_runs", max_runs, 1)
+    data, scaled = _measurements(measured, {} if weights is None else weights)
+    count = sum(int(np.isfinite(values).sum()) for values in data.values())
+    if count < len(start):
+        raise ParameterError(
+            f"{count} measurements cannot tell {len(start)} parameters: measure more"
+        )
+    residuals = _Residuals(scene, start, sizes, data, scaled, progress)
+    limits = _limits(residuals, start, {} if bounds is None else bounds)
+    found = least_squares(
+        lambda x: residuals.run(x)[0].copy(), np.zeros(len(start)),
+        lambda x: residuals.run(x)[1].copy(), limits, ftol=tolerance, xtol=tolerance,
+        gtol=1e-2 * tolerance, max_nfev=max_runs,
+    )  # fmt: skip
+    r, slopes, figures = residuals.run(found.x)
+    return _judged(residuals, found, r, slopes, figures, data, confidence)
+
+
+def _measurements(
+    measured: Mapping[str, npt.ArrayLike], weights: Mapping[str, npt.ArrayLike]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Measurements and weights as arrays of the same shapes."""
+    if not isinstance(measured, Mapping) or not measured:
+        raise ParameterError(f"measured = {shown(measured)} must be a dictionary of arrays")
+    data = {name: np.array(values, float) for name, values in measured.items()}
+    for name in weights:
+        if name not in data:
+            raise ParameterError(f"weights has '{name}', and measured has {', '.join(data)}")
+    scaled = {}
+    for name, values in data.items():
+        largest = np.nanmax(np.abs(values), initial=0.0)
+        given = np.asarray(weights.get(name, 1.0 / largest if largest else 1.0), float)
+        if (given.ndim and given.shape != values.shape) or not (given >= 0).all():
+            raise ParameterError(
+                f"weights['{name}'] must be zero or positive, a number or an array of the shape "
+                f"{values.shape} of the measurements"
+            )
+        scaled[name] = np.broadcast_to(given, values.shape)
+    return data, scaled
+
+
+def _limits(
+    residuals: _Residuals, start: Mapping[str, float], bounds: Bounds
+) -> tuple[Array, Array]:
+    """Bounds of the coordinates."""
+    low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+    names = list(start)
+    for name, ends in bounds.items():
+        if name not in names:
+            raise ParameterError(f"bounds has '{name}', and the parameters are {', '.join(names)}")
+        least, most = (float(number(f"bounds['{name}']", end)) for end in ends)
+        if not least < start[name] < most:
+            raise ParameterError(
+                f"the start {name} = {start[name]:g} must be between its bounds {least:g} and "
+                f"{most:g}"
+            )
+        at = names.index(name)
+        low[at], high[at] = (residuals.coordinate(name, end) for end in (least, most))
+    return low, high
+
+
+def _judged(
+    residuals: _Residuals, found: Any, r: Array, slopes: Array, figures: dict[str, Array],
+    data: dict[str, Array], confidence: float,
+) -> Calibration:  # fmt: skip
+    """The result, with its covariance and with what the measurements do not tell."""
+    from scipy.stats import t as student
+
+    parameters = residuals.at(found.x)
+    n, p = slopes.shape
+    _, values, directions = np.linalg.svd(slopes, full_matrices=False)
+    known = values > _ZERO * max(float(values[0]), np.finfo(float).tiny)
+    # with as many measurements as parameters there is no variance to see
+    variance = float(r @ r) / (n - p) if n > p else np.inf
+    with np.errstate(divide="ignore"):
+        inverse = np.where(known, 1.0 / np.where(known, values, 1.0) ** 2, np.inf)
+    # infinite along a combination that is not told, and zero beside it
+    parts = np.where(np.abs(directions) > _ZERO, directions, 0.0)
+    spread = np.array([[_sum(inverse * parts[:, i] * parts[:, j]) for j in range(p)]
+                       for i in range(p)])  # fmt: skip
+    covariance = variance * spread
+    width = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore"):
+        correlation = spread / np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
+    reach = student.ppf(0.5 + confidence / 2, max(n - p, 1)) * width
+    ends = [residuals.at(found.x + sign * reach) for sign in (-1, 1)]
+    intervals = {k: (ends[0][k], ends[1][k]) for k in parameters}
+    notes = _words(list(parameters), width, correlation, known, directions)
+    return Calibration(
+        parameters, intervals, covariance, correlation, values, directions,
+        float(np.sqrt(np.mean(r**2))), figures, data, residuals.trace, notes, found.message,
+    )  # fmt: skip
+
+
+def _sum(terms: Array) -> float:
+    """Sum of terms, where infinity times zero is zero."""
+    return float(np.sum(terms[~np.isnan(terms)]))
+
+
+def _words(
+    names: list[str], width: Array, correlation: Array, known: Any, directions: Array
+) -> list[str]:
+    """What the measurements do not tell, in words."""
+    notes = []
+    for direction in directions[~known]:
+        parts = [
+            f"{name}^{share:+.2f}" for name, share in zip(names, direction) if abs(share) > 0.01
+        ]
+        notes.append(f"the measurements do not depend on {' '.join(parts)}")
+    for name, deviation in zip(names, width):
+        if np.isfinite(deviation) and deviation > _UNKNOWN:
+            notes.append(f"{name} is hardly told: its standard deviation is {deviation:.0%}")
+    for i, one in enumerate(names):
+        for j in range(i):
+            r = correlation[i, j]
+            if abs(r) > _ALIKE:
+                how = "product" if r < 0 else "ratio"
+                notes.append(
+                    f"{names[j]} and {one} are told together, rather by their {how}: their "
+                    f"correlation is {r:.3f}"
+                )
+    return notes

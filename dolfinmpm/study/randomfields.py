@@ -1,0 +1,155 @@
+"""Random fields by a few modes, equal on any number of ranks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import choice, coordinates, number, shown, whole
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = ["RandomField"]
+
+Array = npt.NDArray[np.float64]
+
+# Correlation over the scaled distance
+_KERNELS = {
+    "gaussian": lambda r: np.exp(-(r**2)),
+    "exponential": lambda r: np.exp(-r),
+}
+# Nodes per correlation length, and the most nodes of a field
+_PER_LENGTH, _MOST = 4, 2500
+
+
+class RandomField:
+    """A lognormal or normal random field over a box, by its Karhunen–Loève modes.
+
+    The field is exp(μ + σ Σ √λᵢ φᵢ(x) ξᵢ), or its exponent alone, with independent standard normal
+    ξᵢ. The modes φᵢ solve ∫ C(x, y) φᵢ(y) dy = λᵢ φᵢ(x) by Nyström's method on the midpoints of a
+    grid in the box. They have values anywhere, whatever points and ranks there are. The number of
+    modes decides which share of the variance the field has. See Ghanem & Spanos (1991), *Stochastic
+    finite elements*, chapter 2.
+
+    Args:
+        low, high: Corners of the box (m).
+        lengths: Correlation length per direction (m), or one number. The correlation is
+            exp(−r²), or exp(−r), with r² = Σ (Δxᵢ/lengthᵢ)².
+        mean: Mean of the field.
+        coefficient: Its coefficient of variation.
+        modes: Number of modes.
+        kernel: "gaussian" or "exponential".
+        lognormal: Whether the logarithm of the field is normal.
+        name: Start of the names of the parameters ξᵢ.
+
+    Attributes:
+        names: Names of ξᵢ.
+        share: Share of the variance that the modes have, as a mean over the box.
+
+    Raises:
+        ParameterError: A value is outside its range, or the box has too many correlation lengths.
+
+    >>> import dolfinmpm as mpm
+    >>> field = mpm.study.RandomField((0, 0), (10, 5), 4.0, mean=20e3, coefficient=0.3, modes=6)
+    >>> round(field.share, 2)
+    0.96
+    >>> xi = field.sample(seed=1)
+    >>> len(xi), field.at([(5.0, 2.5)], xi).shape
+    (6, (1,))
+    >>> round(float(field.at([(5.0, 2.5)], {})[0]))
+    19157
+    """
+
+    def __init__(
+        self,
+        low: Sequence[float],
+        high: Sequence[float],
+        lengths: float | Sequence[float],
+        *,
+        mean: float,
+        coefficient: float,
+        modes: int,
+        kernel: str = "gaussian",
+        lognormal: bool = True,
+        name: str = "xi",
+    ):
+        self._low, self._high = coordinates("low", low), coordinates("high", high)
+        gdim = self._low.size
+        if self._high.size != gdim or not (self._high > self._low).all():
+            raise ParameterError(
+                f"high = {shown(high)} must be above low = {shown(low)} in each direction"
+            )
+        given = np.broadcast_to(np.asarray(lengths, float), (gdim,))
+        for length in given:
+            number("lengths", float(length), 0.0)
+        self._lengths = np.array(given)
+        self._kernel = _KERNELS[choice("kernel", kernel, _KERNELS)]
+        mean, coefficient = number("mean", mean), number("coefficient", coefficient, 0.0, 10.0)
+        self._lognormal = lognormal
+        if lognormal:
+            number("mean", mean, 0.0)
+            self._deviation = math.sqrt(math.log1p(coefficient**2))
+            self._middle = math.log(mean) - 0.5 * self._deviation**2
+        else:
+            self._middle, self._deviation = mean, coefficient * abs(mean)
+        count = whole("modes", modes, 1)
+        self.names = [f"{name}{k + 1}" for k in range(count)]
+        self.share = self._solve(count)
+
+    def _solve(self, count: int) -> float:
+        """Find the modes at the nodes; returns the share of their variance."""
+        # SciPy's algebra takes a second to import
+        from scipy.linalg import eigh
+
+        ratio = (self._high - self._low) / self._lengths
+        numbers = np.maximum(np.ceil(_PER_LENGTH * ratio).astype(int), 6)
+        total = int(np.prod(numbers))
+        if total > _MOST:
+            raise ParameterError(
+                f"the box has {', '.join(f'{r:.3g}' for r in ratio)} correlation lengths, which "
+                f"take {total} nodes; {_MOST} is the limit: take a smaller box or longer lengths"
+            )
+        if count > total:
+            raise ParameterError(f"modes = {count} must be at most the number of nodes, {total}")
+        lines = [
+            a + (np.arange(n) + 0.5) * (b - a) / n
+            for a, b, n in zip(self._low, self._high, numbers)
+        ]
+        self._nodes = np.stack([x.ravel() for x in np.meshgrid(*lines, indexing="ij")], axis=-1)
+        # equal weights: eigenvalues as shares of the variance
+        matrix = self._correlation(self._nodes) / total
+        values, vectors = eigh(matrix, subset_by_index=(total - count, total - 1))
+        values, vectors = np.maximum(values[::-1], 1e-14), vectors[:, ::-1]
+        # the sign of an eigenvector is chance
+        at = np.argmax(np.abs(vectors), axis=0)
+        vectors = vectors * np.sign(vectors[at, np.arange(count)])
+        # √λ φ(x) = Σ C(x, xⱼ) vⱼ / √(λ total)
+        self._vectors = vectors / np.sqrt(values * total)
+        return float(values.sum())
+
+    def _correlation(self, x: Array) -> Array:
+        scaled = x / self._lengths
+        nodes = self._nodes / self._lengths
+        square = np.sum((scaled[:, None, :] - nodes[None, :, :]) ** 2, axis=2)
+        return np.asarray(self._kernel(np.sqrt(square)))
+
+    def at(self, x: npt.ArrayLike, xi: Mapping[str, float]) -> Array:
+        """Values of the field, shape (n,).
+
+        Args:
+            x: Places (m), shape (n, gdim), such as `points["x"]`.
+            xi: Name → ξ. Names that are not there count as zero; other names are left alone.
+        """
+        places = np.asarray(x, float).reshape(-1, self._low.size)
+        given = np.array([xi.get(name, 0.0) for name in self.names])
+        exponent = self._middle + self._deviation * (
+            self._correlation(places) @ (self._vectors @ given)
+        )
+        return np.asarray(np.exp(exponent) if self._lognormal else exponent)
+
+    def sample(self, seed: int) -> dict[str, float]:
+        """Random ξ by their names, the same for the same seed."""
+        values = np.random.default_rng(seed).standard_normal(len(self.names))
+        return {name: float(xi) for name, xi in zip(self.names, values)}

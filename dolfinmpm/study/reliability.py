@@ -1,0 +1,388 @@
+"""Reliability: how likely an example fails if its parameters are random. FORM by OpenTURNS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.argumentchecks import check_function, number, shown, whole
+from dolfinmpm._platform.errors import ConvergenceError, MissingPackageError, ParameterError
+from dolfinmpm.study.derivatives import Run, Scene, differentiate
+
+__all__ = ["LimitState", "LogNormal", "Normal", "Reliability", "limit_state", "reliability"]
+
+Array = npt.NDArray[np.float64]
+
+
+def _openturns() -> Any:
+    """OpenTURNS.
+
+    Raises:
+        MissingPackageError: It is not installed.
+    """
+    try:
+        import openturns
+    except ImportError:
+        raise MissingPackageError(
+            "reliability needs OpenTURNS, which is not installed: python3 -m pip install "
+            "openturns, apt-get install python3-openturns, or conda install -c conda-forge "
+            "openturns"
+        ) from None
+    return openturns
+
+
+@dataclass(frozen=True)
+class Normal:
+    """A normal distribution of a parameter.
+
+    Args:
+        mean: Mean.
+        deviation: Standard deviation, in the same unit.
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.study.Normal(30.0, 2.0).middle
+    30.0
+    """
+
+    mean: float = 0.0
+    deviation: float = 1.0
+
+    def __post_init__(self) -> None:
+        number("mean", self.mean)
+        number("deviation", self.deviation, 0.0)
+
+    @property
+    def middle(self) -> float:
+        """The median."""
+        return self.mean
+
+    def made(self) -> Any:
+        """The distribution of OpenTURNS."""
+        return _openturns().Normal(self.mean, self.deviation)
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """A lognormal distribution of a parameter.
+
+    Args:
+        mean: Mean.
+        coefficient: Coefficient of variation.
+
+    >>> import dolfinmpm as mpm
+    >>> round(mpm.study.LogNormal(20e3, 0.3).middle)
+    19157
+    """
+
+    mean: float
+    coefficient: float
+
+    def __post_init__(self) -> None:
+        number("mean", self.mean, 0.0)
+        number("coefficient", self.coefficient, 0.0)
+
+    @property
+    def middle(self) -> float:
+        """The median."""
+        return self.mean / math.sqrt(1 + self.coefficient**2)
+
+    def made(self) -> Any:
+        """The distribution of OpenTURNS."""
+        spread = math.sqrt(math.log1p(self.coefficient**2))
+        return _openturns().LogNormal(math.log(self.middle), spread, 0.0)
+
+
+class LimitState:
+    """A figure of an example after its last step, as function of the parameters, with gradient.
+
+    Args:
+        scene: Function of a dictionary of parameters that returns a `Run`.
+        limit: Name of the figure. Below zero the example counts as failed.
+        sizes: Name → size of the parameter's changes, in its unit.
+
+    Attributes:
+        names: Names of the parameters, in their order.
+        runs: Number of runs with derivatives, and without.
+
+    See `limit_state`:
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.study.LimitState(lambda m: None, "margin", {"E": 1e6}).names
+    ['E']
+    """
+
+    def __init__(self, scene: Scene, limit: str, sizes: Mapping[str, float]):
+        check_function("scene", scene, "of a dictionary of parameters")
+        self._scene, self._limit, self._sizes = scene, limit, dict(sizes)
+        self.names, self.runs = list(sizes), [0, 0]
+        self._comm: MPI.Intracomm = MPI.COMM_SELF
+        self._known: dict[bytes, tuple[float, Array | None]] = {}
+
+    def _built(self, m: dict[str, float]) -> Run:
+        run = self._scene(m)
+        if isinstance(run, Run):
+            self._comm = run.problems[0].comm
+            if self._limit not in run.measured:
+                raise ParameterError(
+                    f"limit = '{self._limit}' is no figure of the scene; its figures are "
+                    f"{', '.join(run.measured)}"
+                )
+        return run
+
+    def __call__(self, values: npt.ArrayLike) -> float:
+        """The figure at values of the parameters, from a run without derivatives. Collective."""
+        x = self._shared(values)
+        if x.tobytes() not in self._known:
+            run = self._built(self._named(x))
+            for item in run.steps:
+                if callable(item):
+                    item()
+            found = float(np.asarray(run.measured[self._limit]()))
+            self._keep(x, found, None)
+            self.runs[1] += 1
+        return self._known[x.tobytes()][0]
+
+    def gradient(self, values: npt.ArrayLike) -> Array:
+        """Derivatives by the parameters, shape (p,), per unit of each. Collective."""
+        x = self._shared(values)
+        known = self._known.get(x.tobytes())
+        if known is None or known[1] is None:
+            m = self._named(x)
+            found = differentiate(self._built, m, scales=self._sizes, central=False)
+            by = found.derivatives[self._limit]
+            values = [float(by[k][-1]) / self._sizes[k] for k in self.names]
+            self._keep(x, float(found.figures[self._limit][-1]), np.array(values))
+            self.runs[0] += 1
+        slopes = self._known[x.tobytes()][1]
+        assert slopes is not None
+        return slopes
+
+    def _named(self, x: Array) -> dict[str, float]:
+        return {name: float(value) for name, value in zip(self.names, x)}
+
+    def _shared(self, values: npt.ArrayLike) -> Array:
+        """The values of rank 0: all ranks must take the same way to the last bit."""
+        x = np.asarray(self._comm.bcast(np.asarray(values, float)))
+        if x.shape != (len(self.names),):
+            raise ParameterError(
+                f"values = {shown(values)} must be one number for each of {', '.join(self.names)}"
+            )
+        return x
+
+    def _keep(self, x: Array, value: float, slopes: Array | None) -> None:
+        # only the last few: a long simulation must not grow
+        if len(self._known) > 8:
+            self._known.clear()
+        self._known[x.tobytes()] = self._comm.bcast((value, slopes))
+
+    def made(self, derivatives: bool) -> Any:
+        """The function of OpenTURNS.
+
+        Args:
+            derivatives: Whether each run is one with derivatives, because its gradient follows.
+        """
+
+        def value(x: Any) -> list[float]:
+            if derivatives:
+                self.gradient(x)
+            return [self(x)]
+
+        return _openturns().PythonFunction(
+            len(self.names), 1, value, gradient=lambda x: [[float(g)] for g in self.gradient(x)]
+        )
+
+
+def limit_state(scene: Scene, limit: str, sizes: Mapping[str, float]) -> LimitState:
+    """A figure of an example as function of its parameters, with gradient, for any library.
+
+    Args:
+        scene: Function of a dictionary of parameters that returns a `Run`.
+        limit: Name of the figure. Its value after the last step counts; below zero the example
+            counts as failed.
+        sizes: Name → size of the parameter's changes, in its unit, such as a standard deviation.
+
+    Raises:
+        ParameterError: The figure is not among those of the scene.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> def scene(m):
+    ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
+    ...     V = mpm.Space(grid, "gimp")
+    ...     F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.0), points, V.increment, V.test)
+    ...     bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.01)
+    ...     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    ...     margin = lambda: 3e3 + points["stress"][:, 1, 1].mean()
+    ...     return mpm.study.Run(problem, [problem.step], {"margin": margin})
+    >>> g = mpm.study.limit_state(scene, "margin", {"E": 1e5})
+    >>> round(g([1e6])), (1e3 * g.gradient([1e6])).round(2).tolist()
+    (491, [-2.51])
+    """
+    return LimitState(scene, limit, sizes)
+
+
+@dataclass
+class Reliability:
+    """How far failure is, and what it hangs on.
+
+    Attributes:
+        beta: Reliability index of Hasofer and Lind.
+        probability: Probability of failure by FORM, Φ(−β).
+        design: Name → value at the design point, the most likely failure.
+        normal_design: The same in standard normal space.
+        importance: Name → share of the variance of the margin; their sum is one.
+        runs: Number of runs with derivatives, and without.
+
+    See `reliability`:
+
+    >>> import dolfinmpm as mpm
+    >>> mpm.study.Reliability(2.0, 0.02275, {"E": 1.0}, {"E": 2.0}, {"E": 1.0}, [3, 0]).beta
+    2.0
+    """
+
+    beta: float
+    probability: float
+    design: dict[str, float]
+    normal_design: dict[str, float]
+    importance: dict[str, float]
+    runs: list[int]
+    _back: Any = field(default=None, repr=False)
+    _limit: Any = field(default=None, repr=False)
+
+    def check(self, runs: int = 200, seed: int = 1) -> tuple[float, float]:
+        """Probability of failure by sampling about the design point. Collective.
+
+        Returns:
+            The probability, and its coefficient of variation; see Melchers (1989), *Importance
+            sampling in structural systems*, doi 10.1016/0167-4730(89)90003-9.
+        """
+        ot = _openturns()
+        count, rng = whole("runs", runs, 2), np.random.default_rng(seed)
+        u0 = np.array(list(self.normal_design.values()))
+        found = np.zeros(count)
+        for k in range(count):
+            u = u0 + rng.standard_normal(u0.size)
+            if self._limit(list(self._back(ot.Point(u)))) < 0:
+                found[k] = math.exp(float(u0 @ u0) / 2 - float(u0 @ u))
+        mean = float(found.mean())
+        return mean, float(found.std(ddof=1) / math.sqrt(count) / mean) if mean else math.inf
+
+    def draw(self, axes: Any, **style: Any) -> None:
+        """Draw the importance factors and the design point.
+
+        Args:
+            axes: Matplotlib's axes.
+            style: Further arguments of Matplotlib's `barh`.
+        """
+        names = list(self.importance)[::-1]
+        axes.barh(
+            [f"{k} = {self.design[k]:.4g}" for k in names],
+            [self.importance[k] for k in names],
+            **style,
+        )
+        axes.set_xlabel(f"share of the variance; β = {self.beta:.3f}")
+
+
+def reliability(
+    scene: Scene,
+    distributions: Mapping[str, Any],
+    limit: str = "margin",
+    *,
+    tolerance: float = 1e-3,
+    max_iterations: int = 30,
+) -> Reliability:
+    """Reliability index of an example by FORM. Collective.
+
+    OpenTURNS seeks the design point with the algorithm of Abdo and Rackwitz (1991), doi
+    10.1016/0045-7949(91)90318-7. Each iteration takes about one run with derivatives.
+
+    Args:
+        scene: Function of a dictionary of parameters that returns a `Run`.
+        distributions: Name → `Normal`, `LogNormal`, or a distribution of OpenTURNS; independent.
+        limit: Name of the figure whose value after the last step is below zero at failure.
+        tolerance: Error of the design point in standard normal space, and of the figure there,
+            in standard deviations.
+        max_iterations: Largest number of iterations.
+
+    Raises:
+        MissingPackageError: OpenTURNS is not installed.
+        ParameterError: The figure is not among those of the scene, or there is no parameter.
+        ConvergenceError: No design point is found.
+
+    A bar whose stress is bounded:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> def scene(m):
+    ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
+    ...     V = mpm.Space(grid, "gimp")
+    ...     F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.0), points, V.increment, V.test)
+    ...     bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.01)
+    ...     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    ...     margin = lambda: 3e3 + points["stress"][:, 1, 1].mean()
+    ...     return mpm.study.Run(problem, [problem.step], {"margin": margin})
+    >>> found = mpm.study.reliability(scene, {"E": mpm.study.Normal(1e6, 1e5)})  # doctest: +SKIP
+    >>> round(found.beta, 2)  # doctest: +SKIP
+    1.96
+    """
+    ot = _openturns()
+    number("tolerance", tolerance, 1e-12, 0.1)
+    if not isinstance(distributions, Mapping) or not distributions:
+        raise ParameterError(
+            f"distributions = {shown(distributions)} must be a dictionary of distributions by name"
+        )
+    each = [d.made() if isinstance(d, (Normal, LogNormal)) else d for d in distributions.values()]
+    sizes = {k: float(d.getStandardDeviation()[0]) for k, d in zip(distributions, each)}
+    middle = [float(d.computeQuantile(0.5)[0]) for d in each]
+    g = LimitState(scene, limit, sizes)
+    joint = (getattr(ot, "JointDistribution", None) or ot.ComposedDistribution)(each)
+    back = joint.getInverseIsoProbabilisticTransformation()
+    # the first guess is the design point of the tangent at the medians: from the medians, the
+    # line search of Abdo and Rackwitz takes far too short steps
+    origin = ot.Point(len(each))
+    slope = np.array(back.gradient(origin)) @ g.gradient(middle)
+    square, value = float(slope @ slope), g(middle)
+    if square == 0.0:
+        raise ParameterError(f"limit = '{limit}' depends on none of {', '.join(distributions)}")
+    ask = ot.AbdoRackwitz()
+    ask.setStartingPoint(back(ot.Point(-value / square * slope)))
+    for name in ("IterationNumber", "CallsNumber"):
+        setter = getattr(ask, f"setMaximum{name}", None)
+        if setter is not None:
+            setter(max_iterations * (1 if name == "IterationNumber" else 5))
+    ask.setMaximumAbsoluteError(tolerance)
+    ask.setMaximumRelativeError(tolerance)
+    ask.setMaximumResidualError(tolerance)
+    ask.setMaximumConstraintError(tolerance * math.sqrt(square))
+    vector = ot.RandomVector(joint)
+    event = ot.ThresholdEvent(
+        ot.CompositeRandomVector(ot.Function(g.made(True)), vector), ot.Less(), 0.0
+    )
+    try:
+        form = ot.FORM(ask, event)
+    except TypeError:
+        form = ot.FORM(ask, event, ask.getStartingPoint())
+    try:
+        form.run()
+    except RuntimeError as error:
+        raise ConvergenceError(f"FORM finds no design point: {error}") from error
+    result = form.getResult()
+    design, normal = result.getPhysicalSpaceDesignPoint(), result.getStandardSpaceDesignPoint()
+    u = np.array(normal)
+    shares = u**2 / float(u @ u) if u.any() else np.full(u.size, 1.0 / u.size)
+    side = -1 if result.getIsStandardPointOriginInFailureSpace() else 1
+    physical, standard, importance = (
+        {name: float(x) for name, x in zip(distributions, values)}
+        for values in (design, normal, shares)
+    )
+    probability = float(result.getEventProbability())
+    beta = side * float(np.linalg.norm(u))
+    return Reliability(beta, probability, physical, standard, importance, g.runs, back, g)

@@ -1,0 +1,342 @@
+"""Solutions of a run, and runs with other parameters that follow them by one linear solution each.
+
+A run at parameters m solves R(u; s, m) = 0 in each substep, and keeps u and the tangent K at u. A
+run at m + ε Δm with the state s' follows: u' = u − K⁻¹ [R(u; s', m + ε Δm) − R(u; s, m)]. This is
+Newton's first iteration from u, so that u' is exact up to a term in ε² that does not change with
+the sign of ε. The difference of two runs that follow, at m ± ε Δm, is thus the derivative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfinmpm._platform.errors import ConvergenceError
+from dolfinmpm.contact.contactpoints import ActiveContact
+from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.solve.bordered import Border, Bordered
+from dolfinmpm.solve.linearsolver import LinearSolver
+from dolfinmpm.solve.newton import Newton, Outcome
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.quasistatic import QuasiStatic
+
+__all__ = ["Reader", "Stage", "Tape", "follow", "record"]
+
+Array = npt.NDArray[np.float64]
+Kind = TypeVar("Kind")
+
+
+@dataclass
+class Stage:
+    """One solution of a run.
+
+    Attributes:
+        outcome: The result of the solver.
+        unknowns: Numbering of the unknowns.
+        force: Out-of-balance force that remained (N), shape (owned,).
+        linear: Linear solver with the tangent.
+        states: States of the contact points, for each contact.
+        border: The additional equations, if there are any.
+    """
+
+    outcome: Outcome
+    unknowns: Unknowns
+    force: Array = field(default_factory=lambda: np.empty(0))
+    linear: LinearSolver | None = None
+    states: list[npt.NDArray[np.int8]] = field(default_factory=list)
+    border: _BorderAt | None = None
+
+
+@dataclass
+class _BorderAt:
+    """The additional equations g(x, y) = 0 at a solution; see `Bordered`.
+
+    Attributes:
+        value: The additional unknowns y, shape (m,).
+        gap: g, shape (m,).
+        by_x: Derivative of g by the owned unknowns x, shape (owned, m).
+        columns: dx/dy along which forces stay in balance, shape (owned, m).
+        system: Derivative of g by y along these columns, shape (m, m).
+    """
+
+    value: Array
+    gap: Array
+    by_x: Array
+    columns: Array
+    system: Array
+
+    @classmethod
+    def of(cls, border: Border, x: Array, linear: LinearSolver, comm: MPI.Intracomm) -> _BorderAt:
+        """The equations at the unknowns x, with the tangent of a linear solver. Collective."""
+        gap, by_x, by_y = border.gap(x)
+        columns = np.column_stack([linear.solve(-column) for column in border.slopes(x).T])
+        system = comm.allreduce(by_x.T @ columns, op=MPI.SUM) + by_y
+        return cls(border.value.copy(), gap, by_x, columns, system)
+
+    def change(self, gap: Array, b: Array, comm: MPI.Intracomm) -> Array:
+        """Change of y by a change of the equations. Collective.
+
+        Args:
+            gap: The changed g, shape (m,).
+            b: Change of x with y unchanged, shape (owned,).
+            comm: The ranks.
+        """
+        more = comm.allreduce(self.by_x.T @ b, op=MPI.SUM)
+        return np.linalg.solve(self.system, -(gap - self.gap + more))
+
+
+class Tape:
+    """The solutions of a run since the last `clear`, in their order.
+
+    Attributes:
+        stages: The solutions.
+        readers: Number of runs that follow.
+    """
+
+    def __init__(self) -> None:
+        self.stages: list[Stage] = []
+        self.readers = 0
+        self._solvers: list[LinearSolver] = []
+
+    def clear(self) -> None:
+        """Forget the solutions; the linear solvers are used again."""
+        self.stages.clear()
+
+    def add(
+        self, newton: Newton, operator: Operator, outcome: Outcome, border: Border | None = None
+    ) -> None:
+        """Keep a solution. Collective.
+
+        Args:
+            newton: Newton's method that found it.
+            operator: The equations, at the solution.
+            outcome: The result.
+            border: The additional equations, if there are any.
+        """
+        unknowns = operator.here.unknowns
+        stage = Stage(outcome, unknowns)
+        at = sum(one.linear is not None for one in self.stages)
+        self.stages.append(stage)
+        if outcome.reason is not None or unknowns.total == 0:
+            return
+        if at == len(self._solvers):
+            self._solvers.append(newton.linear.twin(self.readers))
+        stage.force = unknowns.restrict(operator.forces())
+        stage.linear = self._solvers[at]
+        _factor(stage.linear, operator)
+        stage.states = _contact_states(operator)
+        if border is not None:
+            stage.border = _BorderAt.of(border, outcome.x, stage.linear, unknowns.comm)
+
+
+def _factor(linear: LinearSolver, operator: Operator) -> None:
+    """Assemble and factor the tangent, by other methods after failures. Collective.
+
+    Beyond a limit point the tangent is indefinite, so that Cholesky's factors do not exist.
+
+    Raises:
+        ConvergenceError: No method can solve with the tangent.
+    """
+    while True:
+        try:
+            linear.attach(operator)
+            assert linear.matrix is not None
+            operator.tangent(linear.matrix)
+            linear.solve(np.zeros(operator.here.unknowns.owned))
+            if not linear.stuck:
+                return
+            another = linear.enlarge() or linear.relax()
+        except PETSc.Error as error:
+            linear.why(error)
+            another = linear.relax()
+        if not another:
+            raise ConvergenceError(
+                "the tangent of a converged step is singular: it has no derivatives"
+            )
+
+
+def _contact_states(operator: Operator) -> list[npt.NDArray[np.int8]]:
+    """Copies of the states of all contact points, for each contact."""
+    return [term.states.copy() for term in operator.terms if isinstance(term, ActiveContact)]
+
+
+class Reader:
+    """Reads a tape from its start.
+
+    Args:
+        tape: The tape.
+        opposite: Reader of the run with the opposite perturbation, which reads first, or None.
+
+    Attributes:
+        off: Reasons why the reader does not take the same way as the tape.
+    """
+
+    def __init__(self, tape: Tape, opposite: Reader | None = None):
+        self.tape, self._opposite, self._at = tape, opposite, 0
+        tape.readers += 1
+        self.off: list[str] = []
+        # number of the solution → how the unknowns change
+        self._changes: dict[int, Array] = {}
+
+    def begin(self) -> None:
+        """Begin at the start of the tape."""
+        self._at, self.off = 0, []
+        self._changes.clear()
+
+    def change(self, stage: Stage, force: Array) -> Array:
+        """Change of the unknowns by a change of the out-of-balance force. Collective.
+
+        Args:
+            stage: The last solution.
+            force: The out-of-balance force (N), shape (owned,).
+        """
+        assert stage.linear is not None
+        known = None if self._opposite is None else self._opposite._changes.get(self._at)
+        guess = None if known is None else -known
+        found = stage.linear.solve(stage.force - force, guess)
+        self._changes[self._at] = found
+        return found
+
+    def next(self, operator: Operator) -> Stage | None:
+        """The next solution, or None if the equations have other unknowns. Collective."""
+        stages = self.tape.stages
+        if self._at >= len(stages):
+            self.off.append("other substeps are taken")
+            return None
+        stage = stages[self._at]
+        self._at += 1
+        mine, known = operator.here.unknowns, stage.unknowns
+        same = len(mine.fields) == len(known.fields) and all(
+            np.array_equal(a.nodes, b.nodes) and np.array_equal(a.places[0], b.places[0])
+            for a, b in zip(mine.fields, known.fields)
+        )
+        if mine.comm.allreduce(same, op=MPI.LAND):
+            return stage
+        self.off.append("other cells are active")
+        return None
+
+    def compare(self, stage: Stage, operator: Operator) -> None:
+        """Note contacts that touch, stick or slip at other points than on the tape. Collective."""
+        if not stage.states:
+            return
+        changed = 0
+        for known, found in zip(stage.states, _contact_states(operator)):
+            if known.shape == found.shape:
+                changed += int(np.count_nonzero(known != found))
+            else:
+                changed += int(np.abs(np.bincount(known, minlength=3)
+                                      - np.bincount(found, minlength=3))[1:].sum())  # fmt: skip
+        changed = operator.here.unknowns.comm.allreduce(changed, op=MPI.SUM)
+        if changed:
+            self.off.append(f"{changed} contact points begin or end to touch or slip")
+
+
+class RecordedNewton(Newton):
+    """Newton's method that keeps its solutions on a tape."""
+
+    tape: Tape
+
+    def solve(self, operator: Operator) -> Outcome:
+        """See `Newton`. Collective."""
+        outcome = super().solve(operator)
+        self.tape.add(self, operator, outcome)
+        return outcome
+
+    def anew(self, softened: bool = False) -> Newton:
+        """See `Newton`; its solutions are kept on the same tape."""
+        return _like(RecordedNewton, super().anew(softened), tape=self.tape)
+
+
+class FollowingNewton(Newton):
+    """One Newton iteration from each solution of a tape, with the tangent of the tape."""
+
+    reader: Reader
+
+    def solve(self, operator: Operator) -> Outcome:
+        """See `Solver`. Collective."""
+        stage = self.reader.next(operator)
+        if stage is None:
+            # any state will do: it is replaced by the mirror image of another run
+            return super().solve(operator)
+        known = stage.outcome
+        if known.reason is not None:
+            return Outcome(known.reason, np.zeros(operator.here.unknowns.owned), known.iterations)
+        x = known.x.copy()
+        if stage.linear is not None:
+            x += self.reader.change(stage, operator.residual(x).values)
+        operator.move(x)
+        operator.update_contact()
+        self.reader.compare(stage, operator)
+        return Outcome(None, x, known.iterations, list(known.residuals))
+
+    def anew(self, softened: bool = False) -> Newton:
+        """See `Newton`; it follows the same tape."""
+        return _like(FollowingNewton, super().anew(softened), reader=self.reader)
+
+
+class RecordedBordered(Bordered):
+    """Newton's method with additional equations that keeps its solutions on a tape."""
+
+    tape: Tape
+
+    def solve(self, operator: Operator) -> Outcome:
+        """See `Bordered`. Collective."""
+        outcome = super().solve(operator)
+        self.tape.add(self.newton, operator, outcome, self.border)
+        return outcome
+
+
+class FollowingBordered(Bordered):
+    """One Newton iteration with additional equations from each solution of a tape."""
+
+    reader: Reader
+
+    def solve(self, operator: Operator) -> Outcome:
+        """See `Solver`. Collective."""
+        stage = self.reader.next(operator)
+        if stage is None:
+            return super().solve(operator)
+        known, at, border = stage.outcome, stage.border, self.border
+        if known.reason is not None or stage.linear is None or at is None:
+            return Outcome(known.reason, known.x.copy(), known.iterations, list(known.residuals))
+        border.begin(operator)
+        if not border.settled:
+            self.newton.linear.attach(operator)
+            border.predict(self.newton, operator)
+        border.move(at.value - border.value)
+        operator.update_external()
+        b = self.reader.change(stage, operator.residual(known.x).values)
+        change = at.change(border.gap(known.x)[0], b, operator.here.unknowns.comm)
+        x = known.x + b + at.columns @ change
+        border.move(change)
+        operator.update_external()
+        operator.move(x)
+        operator.update_contact()
+        self.reader.compare(stage, operator)
+        return Outcome(None, x, known.iterations, list(known.residuals))
+
+
+def _like(kind: type[Kind], solver: Any, **more: Any) -> Kind:
+    """A solver of a subclass with the attributes of another solver."""
+    new = kind.__new__(kind)
+    new.__dict__.update(solver.__dict__, **more)
+    return new
+
+
+def record(problem: QuasiStatic, tape: Tape) -> None:
+    """Let a problem keep its solutions on a tape."""
+    bordered = isinstance(problem.solver, Bordered)
+    kind: Any = RecordedBordered if bordered else RecordedNewton
+    problem.solver = _like(kind, problem.solver, tape=tape)
+
+
+def follow(problem: QuasiStatic, reader: Reader) -> None:
+    """Let the steps of a problem follow the solutions of a tape."""
+    bordered = isinstance(problem.solver, Bordered)
+    kind: Any = FollowingBordered if bordered else FollowingNewton
+    problem.solver = _like(kind, problem.solver, reader=reader)

@@ -1,0 +1,129 @@
+"""Parameters from measurements: exact data, intervals, runs that fail, what is not told."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+import dolfinmpm as mpm
+from dolfinmpm import study
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
+from derivative_scenes import column, history_of
+
+TRUTH = {"E": 10e3, "yield": 600.0, "nu": 0.2}
+
+
+def yielding(m):
+    return column({"density": 80.0, **m}, law="von-mises")
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return {"motion": history_of(yielding, TRUTH)["motion"]}
+
+
+def test_exact_data_give_the_parameters(exact):
+    start = {"E": 15e3, "yield": 800.0, "nu": 0.3}
+    rows = []
+    fit = study.calibrate(yielding, start, exact, progress=rows.append)
+    assert fit.parameters == pytest.approx(TRUTH, rel=1e-5)
+    assert len(fit.trace) <= 8
+    assert rows == fit.trace
+    assert fit.misfit < 1e-6
+    assert fit.figures["motion"] == pytest.approx(exact["motion"], rel=1e-5, abs=1e-8)
+
+
+def test_intervals_are_those_of_linear_regression():
+    """A figure that is linear in two parameters, of which one is negative."""
+
+    def line(m):
+        run = column({"E": 10e3, "nu": 0.2, "density": 80.0}, steps=6)
+        steps = []
+        run.steps = [lambda step=step: (step(), steps.append(1)) for step in run.steps]
+        run.measured = {"y": lambda: m["a"] + m["b"] * len(steps)}
+        return run
+
+    x, noise = np.arange(1.0, 7.0), np.array([0.1, -0.2, 0.05, 0.1, -0.1, 0.02])
+    y = -1.0 - 0.5 * x + noise
+    fit = study.calibrate(line, {"a": -2.0, "b": -1.0}, {"y": y}, scales={"a": 1.0, "b": 1.0})
+    (b, a), covariance = np.polyfit(x, y, 1, cov=True)
+    assert fit.parameters == pytest.approx({"a": a, "b": b}, rel=1e-5)
+    np.testing.assert_allclose(fit.covariance, covariance[::-1, ::-1], rtol=1e-5)
+    low, high = fit.intervals["a"]
+    # 95 % of Student's distribution with 4 degrees of freedom
+    assert high - low == pytest.approx(2 * 2.776445 * np.sqrt(covariance[1, 1]), rel=1e-5)
+
+
+def test_what_is_not_told_is_said(exact, tmp_path):
+    """Settlements of an elastic column depend on the density over Young's modulus only."""
+
+    def elastic(m):
+        return column({"nu": 0.2, **m})
+
+    measured = {"motion": history_of(elastic, {"E": 10e3, "density": 80.0})["motion"]}
+    fit = study.calibrate(elastic, {"E": 12e3, "density": 80.0}, measured)
+    assert fit.parameters["density"] / fit.parameters["E"] == pytest.approx(8e-3, rel=1e-3)
+    assert any(
+        "E and density are told together, rather by their ratio" in x for x in fit.notes
+    ) or (any("do not depend on" in x for x in fit.notes))
+    assert "runs" in str(fit)
+    with mpm.figure(str(tmp_path / "fit.png"), dpi=50) as (_, axes):
+        fit.draw(axes)
+    assert matplotlib.image.imread(tmp_path / "fit.png").std() > 0.01
+
+
+def test_a_run_that_fails_shortens_the_step(exact):
+    failed = []
+
+    def fragile(m):
+        if m["E"] < 14e3 and len(failed) < 2:
+            failed.append(m["E"])
+            raise ConvergenceError("too soft")
+        return yielding({**TRUTH, **m})
+
+    fit = study.calibrate(fragile, {"E": 40e3}, exact)
+    assert fit.parameters["E"] == pytest.approx(10e3, rel=1e-4)
+    assert [row["failed"] for row in fit.trace].count("too soft") == len(failed)
+    assert failed
+
+    def never(m):
+        raise ConvergenceError("too soft")
+
+    with pytest.raises(ConvergenceError, match="too soft"):
+        study.calibrate(never, {"E": 1.0}, {"y": [1.0]})
+
+
+def test_bounds_and_gaps(exact):
+    gaps = {"motion": np.where(np.arange(5)[:, None] == 2, np.nan, exact["motion"])}
+    elastic = {k: TRUTH[k] for k in ("yield", "nu")}
+    fit = study.calibrate(
+        lambda m: yielding({**elastic, **m}), {"E": 14e3}, gaps, bounds={"E": (12e3, 20e3)}
+    )
+    assert fit.parameters["E"] == pytest.approx(12e3, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("start", "measured", "options", "message"),
+    [
+        ({"E": 1e4}, {}, {}, "must be a dictionary of arrays"),
+        ({"E": 1e4}, {"y": [1.0]}, {"weights": {"z": 1.0}}, "weights has 'z', and measured has y"),
+        ({"E": 1e4}, {"y": [1.0]}, {"weights": {"y": -1.0}}, "must be zero or positive"),
+        ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"nu": (0, 1)}}, "the parameters are E"),
+        ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"E": (1, 2)}}, "must be between its bounds 1 and 2"),
+        ({"E": 1e4}, {"y": [1.0]}, {}, "measured has 'y', and the figures of the scene are motion"),
+        ({"E": 1e4}, {"motion": [1.0]}, {}, r"has the shape \(1,\), and the figure has \(5, 2\)"),
+        ({"E": 1e4}, {"y": [np.nan]}, {}, "0 measurements cannot tell 1 parameters"),
+    ],
+)
+def test_bad_measurements(start, measured, options, message):
+    def elastic(m):
+        return column({"nu": 0.2, "density": 80.0, **m})
+
+    with pytest.raises(ParameterError, match=message):
+        study.calibrate(elastic, start, measured, **options)

@@ -1,0 +1,155 @@
+"""Derivatives of runs against differences of whole runs, and where they do not exist."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dolfinmpm import study
+from dolfinmpm._platform.errors import ParameterError
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
+from derivative_scenes import CASES, by_whole_runs, column, history_of, sizes_of, swing
+
+# example → parameters that the short test takes
+SHORT = {
+    "elastic": ["E", "density"],
+    "von Mises": ["yield"],
+    "contact with friction": ["friction", "height"],
+    "consolidation": ["permeability"],
+    "arc length": ["E"],
+    "Newmark": ["density"],
+    "explicit": ["velocity"],
+}
+# bounds of the errors: what differences of whole runs themselves are exact to
+ELASTIC, OTHERS = 1e-7, 1e-5
+
+
+def errors(name, names):
+    """The largest error of the derivatives of an example, relative to the largest derivative."""
+    scene, parameters = CASES[name]
+    rest = {k: v for k, v in parameters.items() if k not in names}
+    sizes = {k: v for k, v in sizes_of(name).items() if k in names}
+    chosen = {k: parameters[k] for k in names}
+
+    def example(m):
+        return scene({**rest, **m})
+
+    found = study.differentiate(example, chosen, scales=sizes)
+    assert not found.notes
+    for m in names:
+        whole = by_whole_runs(example, chosen, m, found.scales[m])
+        largest = max(np.abs(by[m]).max() for by in found.derivatives.values())
+        for k, by in found.derivatives.items():
+            assert by[m].shape == found.figures[k].shape
+            yield np.abs(whole[k] - by[m]).max() / largest
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_derivatives_are_differences_of_whole_runs(name):
+    bound = ELASTIC if name.startswith("elastic") else OTHERS
+    assert max(errors(name, SHORT[name])) < bound
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", CASES)
+def test_derivatives_of_all_examples(name):
+    bound = ELASTIC if name.startswith("elastic") else OTHERS
+    assert max(errors(name, list(CASES[name][1]))) < bound
+
+
+def test_figures_are_those_of_a_run_without_derivatives():
+    scene, parameters = CASES["von Mises"]
+    found = study.differentiate(scene, parameters)
+    for name, values in history_of(scene, parameters).items():
+        assert np.array_equal(found.figures[name], values)
+
+
+def test_one_run_per_parameter_loses_a_few_digits():
+    scene, parameters = CASES["von Mises"]
+    central = study.differentiate(scene, parameters)
+    one_sided = study.differentiate(scene, parameters, central=False)
+    for name, by in central.derivatives.items():
+        for m, exact in by.items():
+            close = 1e-4 * np.abs(exact).max()
+            np.testing.assert_allclose(one_sided.derivatives[name][m], exact, atol=close)
+
+
+def kinked(strength):
+    """A column of which points begin to yield exactly at a strength."""
+    fixed = {"E": 10e3, "nu": 0.2, "density": 80.0}
+    return lambda m: column({**fixed, "yield": strength * m["share"]}, "von-mises", steps=1)
+
+
+def test_a_point_that_begins_to_yield_is_told():
+    # the strength at which the first point yields, by bisection of whole runs
+    low, high = 300.0, 3000.0
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        run = kinked(middle)({"share": 1.0})
+        for step in run.steps:
+            step()
+        yields = bool(run.problem.points["plastic_strain"].any())
+        low, high = (middle, high) if yields else (low, middle)
+    found = study.differentiate(kinked(high), {"share": 1.0}, estimate=True)
+    assert found.notes
+    assert "points start or stop to yield within the perturbation" in found.notes[0]
+    # the side on which no point yields has the derivative zero
+    assert all(np.abs(by["share"]).max() < 1e-6 for by in found.derivatives.values())
+
+
+def test_errors_are_estimated_by_a_second_perturbation():
+    scene, parameters = CASES["elastic"]
+    found = study.differentiate(scene, {**parameters, "density": 60.0}, estimate=True)
+    assert found.errors.keys() == parameters.keys()
+    assert 0.0 < max(found.errors.values()) < 1e-6
+    assert not found.notes
+
+    def rough(m):
+        run = scene({**parameters, "E": m["E"]})
+        # a figure with many small jumps has no derivative
+        run.measured["settlement"] = lambda: np.floor(1e6 * run.problem.points["x"][:, 1].sum())
+        return run
+
+    doubtful = study.differentiate(rough, {"E": parameters["E"]}, estimate=True)
+    assert doubtful.errors["E"] > 1e-3
+    assert "the derivative may not exist" in doubtful.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "options", "message"),
+    [
+        ({}, {}, "must be a dictionary of names and numbers"),
+        ({"E": 0.0}, {}, "E = 0 has no logarithm"),
+        ({"E": 1.0}, {"scales": {"nu": 1.0}}, "scales has 'nu', and the parameters are E"),
+        ({"E": 1.0}, {"epsilon": 0.5}, "epsilon"),
+        ({"E": "stiff"}, {}, "E = 'stiff'"),
+    ],
+)
+def test_bad_parameters(parameters, options, message):
+    with pytest.raises(ParameterError, match=message):
+        study.differentiate(lambda m: None, parameters, **options)
+
+
+def test_bad_scenes():
+    with pytest.raises(ParameterError, match=r"return study.Run\(problem, steps, measured\)"):
+        study.differentiate(lambda m: None, {"E": 1.0})
+
+    def begun(m):
+        run = swing({"E": m["E"], "density": 1.0, "velocity": 0.1}, steps=2)
+        next(iter(run.steps))()
+        return run
+
+    with pytest.raises(ParameterError, match="the scene has taken 1 steps before its run"):
+        study.differentiate(begun, {"E": 100.0})
+
+    def shorter(m):
+        return swing(
+            {"E": m["E"], "density": 1.0, "velocity": 0.1}, steps=2 if m["E"] == 100.0 else 1
+        )
+
+    with pytest.raises(ParameterError, match="fewer steps at another E"):
+        study.differentiate(shorter, {"E": 100.0})

@@ -1,0 +1,125 @@
+"""Reliability indices against exact ones, and random fields against their statistics."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dolfinmpm as mpm
+from dolfinmpm import study
+from dolfinmpm._platform.errors import MissingPackageError, ParameterError
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
+from derivative_scenes import column
+
+
+def planned(margin):
+    """An example whose margin is a function of its parameters and of a run."""
+
+    def scene(m):
+        run = column({"E": 10e3, "nu": 0.2, "density": 80.0}, steps=1)
+        run.measured = {"margin": lambda: margin(m)}
+        return run
+
+    return scene
+
+
+@pytest.fixture
+def openturns():
+    return pytest.importorskip("openturns", reason="OpenTURNS is optional, and not installed")
+
+
+def test_a_linear_limit_state_is_exact(openturns):
+    """β = mean over deviation of the margin."""
+    scene = planned(lambda m: 3.0 * m["strength"] - 2.0 * m["load"] - 1.0)
+    given = {"strength": study.Normal(5.0, 0.7), "load": study.Normal(3.0, 0.9)}
+    found = study.reliability(scene, given, tolerance=1e-8)
+    variance = (3 * 0.7) ** 2, (2 * 0.9) ** 2
+    beta = (3 * 5.0 - 2 * 3.0 - 1.0) / math.sqrt(sum(variance))
+    assert found.beta == pytest.approx(beta, abs=1e-6)
+    assert found.importance["strength"] == pytest.approx(variance[0] / sum(variance), abs=1e-6)
+    assert found.probability == pytest.approx(0.5 * math.erfc(beta / math.sqrt(2)), rel=1e-5)
+    assert found.runs[0] < 8
+
+
+def test_lognormal_strength_over_load(openturns):
+    """The logarithm of the ratio of two lognormal parameters is normal."""
+    scene = planned(lambda m: math.log(m["strength"] / m["load"]))
+    given = {"strength": study.LogNormal(20e3, 0.3), "load": study.LogNormal(10e3, 0.2)}
+    found = study.reliability(scene, given, tolerance=1e-7)
+    spread = math.sqrt(math.log1p(0.3**2) + math.log1p(0.2**2))
+    beta = math.log(given["strength"].middle / given["load"].middle) / spread
+    assert found.beta == pytest.approx(beta, abs=1e-5)
+    assert found.design["strength"] == pytest.approx(found.design["load"], rel=1e-5)
+
+
+def test_a_weight_that_may_be_too_large(openturns, tmp_path):
+    """A run's own figure: the settlement of a column is linear in its small weight."""
+
+    def scene(m):
+        run = column({"E": 10e3, "nu": 0.2, "density": m["density"]}, steps=1, gravity=-0.1)
+        motion = run.measured["motion"]
+        # settlements are 1.12 mm on average
+        run.measured = {"margin": lambda: 1.0 + motion()[1] / 1.4e-3}
+        return run
+
+    one = study.limit_state(scene, "margin", {"density": 8.0})
+    slope = float(one.gradient([80.0])[0])
+    beta = one([80.0]) / (abs(slope) * 8.0)
+    found = study.reliability(scene, {"density": study.Normal(80.0, 8.0)})
+    assert found.beta == pytest.approx(beta, rel=1e-3)
+    with mpm.figure(str(tmp_path / "form.png"), dpi=50) as (_, axes):
+        found.draw(axes)
+    probability, variation = found.check(runs=20)
+    assert probability == pytest.approx(found.probability, rel=3 * variation)
+
+
+def test_what_is_missing_or_wrong(monkeypatch):
+    with pytest.raises(ParameterError, match="limit = 'safety' is no figure of the scene"):
+        study.limit_state(planned(lambda m: 1.0), "safety", {"a": 1.0})([1.0])
+    with pytest.raises(ParameterError, match="one number for each of a"):
+        study.limit_state(planned(lambda m: 1.0), "margin", {"a": 1.0})([1.0, 2.0])
+    monkeypatch.setitem(sys.modules, "openturns", None)
+    with pytest.raises(MissingPackageError, match="pip install openturns"):
+        study.reliability(planned(lambda m: 1.0), {"a": study.Normal()})
+
+
+@pytest.mark.parametrize("kernel", ["gaussian", "exponential"])
+def test_a_field_has_its_mean_deviation_and_correlation(kernel):
+    field = study.RandomField(
+        (0, 0), (4, 2), (2.0, 1.0), mean=5.0, coefficient=0.2, modes=60, kernel=kernel,
+        lognormal=False,
+    )  # fmt: skip
+    assert field.share > (0.999 if kernel == "gaussian" else 0.8)
+    x = np.array([(1.9, 1.1), (2.9, 1.1)])
+    xi = np.random.default_rng(0).standard_normal((4000, 60))
+    values = np.array([field.at(x, dict(zip(field.names, row))) for row in xi])
+    deviation = values.std(axis=0)
+    assert values.mean(axis=0) == pytest.approx([5.0, 5.0], abs=0.06)
+    if kernel == "gaussian":
+        assert deviation == pytest.approx([1.0, 1.0], rel=0.05)
+        assert np.corrcoef(values.T)[0, 1] == pytest.approx(math.exp(-0.25), abs=0.03)
+
+
+def test_a_field_by_its_seed_and_of_bad_values():
+    options = {"mean": 20e3, "coefficient": 0.3, "modes": 5}
+    field = study.RandomField((0, 0), (4, 2), 2.0, **options)
+    again = study.RandomField((0, 0), (4, 2), 2.0, **options)
+    x = np.random.default_rng(3).uniform(0, 2, (7, 2))
+    assert np.array_equal(field.at(x, field.sample(4)), again.at(x, again.sample(4)))
+    assert np.array_equal(field.at(x, field.sample(4))[2:5], field.at(x[2:5], field.sample(4)))
+    assert (field.at(x, field.sample(4)) > 0).all()
+    for wrong, message in (
+        ({"lengths": 0.0}, "lengths"),
+        ({"lengths": 0.01}, "200, 100|400, 200"),
+        ({"modes": 10**5}, "at most the number of nodes"),
+        ({"high": (0, 2)}, "must be above low"),
+        ({"kernel": "square"}, "kernel"),
+    ):
+        given = {"low": (0, 0), "high": (4, 2), "lengths": 2.0, **options, **wrong}
+        with pytest.raises(ParameterError, match=message):
+            study.RandomField(given.pop("low"), given.pop("high"), given.pop("lengths"), **given)
