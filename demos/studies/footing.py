@@ -37,7 +37,6 @@
 # - Cells of 0.5 m that are halved to 1/64 m at the edge (`--refine 0.015625 --growth 0.2 --h 0.5
 #   --coarsest 0.5 --modulus 1e9 --steps 20`) overestimate it by 0.45 % with 1856 unknowns. Equal
 #   cells of 1/16 m miss by 0.99 % with 38 400 unknowns.
-#
 # - Loaded in time, within 100 s by explicit steps (`--integrator explicit`), the Cam-Clay footing
 #   with 2² points settles by 0.684 m in the centre and 0.632 m on average; equilibrium load by
 #   load has 0.688 and 0.631 m. It takes 24 450 steps after the weight.
@@ -47,7 +46,6 @@
 # `tests/reference/footings.py`.
 
 # %%
-import math
 import time
 from dataclasses import dataclass, replace
 
@@ -55,7 +53,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from footing_curves import compared, describe, draw_compared, draw_run, stored
-from grids import grid_of_lines, lines
+from grids import grid_of_lines, halved, lines
 from options import BASES, Options, natural, option, positive, switch
 from scene import finish, say, solver_figures
 
@@ -99,9 +97,7 @@ class Input(Options):
         "size of the cells (m) far from the footing's edge; by the law; h for equal ones",
         most=2,
     )
-    refine: float | None = positive(
-        None, "size (m) to which cells are halved at the footing's edge, with GIMP or linear"
-    )
+    refine: float | None = positive(None, "size (m) of halved cells at the edge; GIMP or linear")
     growth: float = positive(0.1, "of the size of halved cells with the distance from the edge")
     points_per_cell: int | None = natural(None, "in each direction; by the law")
     steps: int | None = natural(None, "of the footing; by the law")
@@ -140,19 +136,6 @@ class Input(Options):
 
 
 # %%
-def refinement(args):
-    """Arguments of the space: cells are halved towards the footing's edge, or none are."""
-    if args.refine is None:
-        return {}
-    edge = np.array([[HALF_WIDTH], [DEPTH]])
-
-    def size(x):
-        return np.maximum(args.refine, args.growth * np.linalg.norm(x - edge, axis=0)) * 1.0001
-
-    levels = max(0, math.ceil(math.log2(args.coarsest / args.refine) - 1e-3))
-    return {"refine": size, "levels": levels, "per_cell": args.points_per_cell}
-
-
 def law_of(args):
     """The law; and the unit weight of the ground (N/m³) and the pressure on its top (Pa)."""
     if args.law == "cam-clay":
@@ -194,7 +177,7 @@ class Scene:
             lines(DEPTH + ROOM, DEPTH, args.h, args.coarsest),
         )
         self.args = args
-        V = mpm.Space(grid, args.basis, **refinement(args))
+        V = mpm.Space(grid, args.basis, **halved(args, (HALF_WIDTH, DEPTH)))
         law, self.weight, surcharge = law_of(args)
         self.internal = next(iter(law.internal))
         body = mpm.Box((0, 0), (WIDTH, DEPTH))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
 
-__all__ = ["box_grid", "grid_of_lines", "growing", "lines"]
+__all__ = ["box_grid", "grid_of_lines", "growing", "halved", "lines"]
 
 
 def box_grid(
@@ -63,3 +64,22 @@ def growing(h, length, growth):
     while sum(sizes) < length - 1e-9:
         sizes.append(sizes[-1] * growth)
     return np.cumsum(sizes) * (length / sum(sizes))
+
+
+def halved(args, place):
+    """Arguments of a space whose cells are halved towards a place (m), or none if none are.
+
+    Args:
+        args: `refine`, the least size (m) or None; `growth` with distance (-); `coarsest`, the size
+            of the grid's cells (m); and `points_per_cell`.
+        place: The place, shape (d,).
+    """
+    if args.refine is None:
+        return {}
+
+    def size(x):
+        apart = np.linalg.norm(x[: len(place)] - np.reshape(place, (-1, 1)), axis=0)
+        return np.maximum(args.refine, args.growth * apart) * 1.0001
+
+    levels = max(0, math.ceil(math.log2(args.coarsest / args.refine) - 1e-3))
+    return {"refine": size, "levels": levels, "per_cell": args.points_per_cell}
