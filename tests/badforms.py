@@ -55,7 +55,7 @@ FORMS = {
     "momentum: strain": (lambda s: s.momentum(strain="larg"), 'did you mean "large"'),
     "momentum: fbar a word": (
         lambda s: s.momentum(fbar="yes"),
-        "fbar = 'yes' must be True, False or 'centres'",
+        "fbar = 'yes' must be True, False, 'centres' or 'volumes'",
     ),
     "momentum: fbar a number": (lambda s: s.momentum(fbar=1), "fbar = 1 must be True or False"),
     "momentum: tag a space": (lambda s: s.momentum(tag=s.V), "tag = a Space must be a whole"),

@@ -120,6 +120,16 @@ def _state(formulation: StrainFormulation, sigma: Array, rows: Rows) -> Array:
     return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
 
+def _derive(formulation: StrainFormulation, rows: Rows) -> None:
+    """Set the internal variables that follow from the elastic state."""
+    names = formulation.law.derived
+    if names and rows.size:
+        d = formulation.points.strain_dim
+        new = formulation.commit(np.zeros((rows.size, d * d)), rows)
+        for name in names:
+            formulation.points[name][rows] = new[name]
+
+
 def write_stress(
     formulation: StrainFormulation, stress: StressField, rows: Rows | None = None
 ) -> None:
@@ -135,6 +145,7 @@ def write_stress(
     if not formulation.from_stress:
         state = call_together(points.comm, lambda: _state(formulation, sigma, rows))
         points[formulation.state][rows] = state
+        _derive(formulation, rows)
     points["stress"][rows] = sigma
     points["moved_under"][rows] = MARKS[formulation.strain] + GIVEN
 

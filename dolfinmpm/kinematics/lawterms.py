@@ -21,7 +21,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
-from dolfinmpm.kinematics.fbar import VOLUMES, FBar
+from dolfinmpm.kinematics.fbar import OWN_SHARE, VOLUMES, FBar
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
 from dolfinmpm.kinematics.incremental import Incremental
 from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
@@ -145,7 +145,8 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     inner = strain_formulation(law, points, strain, tags)
     outer: PointwiseLaw = inner
     if fbar:
-        outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES)
+        own = OWN_SHARE if fbar == VOLUMES else 0.0
+        outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES, own=own)
     operand = gradient(points, u)
     operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
 
@@ -210,8 +211,7 @@ def momentum(
             `FBar`), against locking of nearly incompressible bodies. With True, a domain of GIMP
             counts in all cells that it overlaps. With "centres", each point counts only in the
             cell of its centre, as in explicit codes. With "volumes", the volumes, the domains and
-            F of the points follow the mean, too; see `FBar`. Take it for long flow, where single
-            points would shrink and swell.
+            F of the points follow the mean, too; see `FBar`. Take it for long flow.
         tag: Tags of the points with this law, one or several; None means all points of u's field.
             Laws in one form must be for different points.
 

@@ -53,7 +53,9 @@ class Law(Parametrised):
       laws with associated flow have a symmetric tangent. Linear systems then take half the time.
       The first tangent is checked;
     - `strengths`: names of the parameters that `study.factor_of_safety` divides by the factor;
-    - `friction_angles`: names of the angles (degrees) whose tangents are divided by the factor.
+    - `friction_angles`: names of the angles (degrees) whose tangents are divided by the factor;
+    - `derived`: names of internal variables that follow from the elastic state, such as a void
+      ratio. An initial stress sets them.
 
     An elastic law has no strengths and no friction angles: both are empty. None means that the
     strength of the law is unknown. See `Parametrised` for the values of parameters.
@@ -68,6 +70,7 @@ class Law(Parametrised):
     strengths: tuple[str, ...] | None = None
     friction_angles: tuple[str, ...] = ()
     internal: dict[str, tuple[str, float | str]] = {}
+    derived: tuple[str, ...] = ()
     kernel: Kernel
 
     def _bound_softening(self, what: str, fall: Array, limit: Array, symbol: str = "") -> None:
