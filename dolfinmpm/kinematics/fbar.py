@@ -196,15 +196,6 @@ class FBar:
     Moutsanidis and others 2020, Comput. Part. Mech. 7:309, on such mixtures in particle methods).
     It locks where α K is large beside G, with ν > 0.49.
 
-    Binding adds the field `J_bar` to the points if strain is multiplicative. It is the product J̄
-    of the means ΔJ̄ of all steps. The fields F, V and x of the points stay the true ones.
-
-    With fbar="volumes", they stay the true ones in a step only: after it, F is scaled to det F = J̄,
-    and V = J̄ V₀. The volume of a cell is the same, because ΔJ̄ is its volume-weighted mean. The
-    mean alone controls no single point, so J can drift in long flow: beside a cone that penetrates
-    incompressible clay by eight radii, it ends between 0.13 and 2.3, and J̄ within 1 ± 0.04. Points
-    that shrink so much leave material without stiffness, and Newton's method fails.
-
     A law with a dilation angle is refused when a problem is made. Let x and t be the rates of
     shear and of volume at a yielding point, t̄ the shared rate of volume, and η and η̄ the slopes
     of the yield surface and of the flow. The rate of stress is proportional to η̄ x − t̄. Its power
