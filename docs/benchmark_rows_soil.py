@@ -63,6 +63,17 @@ def _leaf_footing(answer: Answer) -> list[float]:
     return [*figures, 100 * answer["footing"]["share"]]
 
 
+def _cone_leaves(*answers: Answer) -> list[float]:
+    """Error, scatter (%), unknowns, Newton iterations per step, minutes of each run."""
+    return [
+        figure for a in answers
+        for figure in (
+            100 * a["error"], 100 * a["scatter"] / a["factor"], a["unknowns"],
+            a["newton_iterations"] / len(a["depths"]), a["seconds_solve"] / 60,
+        )
+    ]  # fmt: skip
+
+
 def _amplification(*answers: Answer) -> list[float]:
     """Largest error of the amplification (%) up to 10 and up to 20 nodes per wavelength."""
     return [100 * answer["errors"][nodes] for answer in answers for nodes in ("10", "20")]
@@ -155,6 +166,16 @@ ROWS = (
     Row("cone", STEEL, "smooth cone in Tresca clay, I_r = 100: error of the cone factor, cells of "
         "R/2, R/4 (%)",
         each("cone_penetration", "--h 0.5 --depth 17 --step 0.1", "--h 0.25 --depth 14 --step 0.1"),
+        percent("error"), "{:+.1f}, {:+.1f}", "Teh & Houlsby 1991: 0"),
+    Row("cone-leaves", LEAVES, "the cone with cells of R/4, R/8, R/16 that follow its tip, 8 R of "
+        "way: error of the cone factor over the last 4 R, scatter (%), unknowns, Newton iterations "
+        "per step, minutes",
+        each("cone_penetration", "--refine --h 0.25 --depth 14", "--refine --h 0.125 --depth 14",
+             "--refine --h 0.0625 --depth 14 --step 0.05"), _cone_leaves,
+        "; ".join(["{:+.1f}, {:.1f}, {:.0f}, {:.1f}, {:.1f}"] * 3), "Teh & Houlsby 1991: 0"),
+    Row("cone-index", LEAVES, "the same with cells of R/8, I_r = 50, 300: error (%)",
+        each("cone_penetration", *(f"--refine --h 0.125 --depth 14 --rigidity-index {i}"
+                                   for i in (50, 300))),
         percent("error"), "{:+.1f}, {:+.1f}", "Teh & Houlsby 1991: 0"),
     Row("cone-sand", STEEL, "cone of 0.8 m in sand, relative density 32 %, cells of 0.2 m: depth "
         "reached (m), mean resistance of the last 2 m (MPa)",
