@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 __all__ = [
     "Family",
-    "Level",
+    "LatticeLevel",
     "Parents",
     "interpolations",
     "knot_insertion",
@@ -67,7 +67,7 @@ class Family:
 
 
 @dataclass(frozen=True)
-class Level:
+class LatticeLevel:
     """Nodes of a level whose rows this rank owns, in the order of the rows.
 
     Attributes:
@@ -224,7 +224,7 @@ def _heaviest(at, place, weights, free, of_all, of_free):
                     of_free[b, c] = max(of_free[b, c], w)
 
 
-def next_level(comm: MPI.Intracomm, level: Level) -> Level:
+def next_level(comm: MPI.Intracomm, level: LatticeLevel) -> LatticeLevel:
     """The next coarser level: all parents of a level's nodes. Collective.
 
     A component of a parent is an unknown if a child with the largest weight is an unknown there. So
@@ -261,7 +261,7 @@ def next_level(comm: MPI.Intracomm, level: Level) -> Level:
     unknown = (of_free == of_all) & (of_all > 0.0)
     mine &= unknown.any(axis=1)
     nodes = np.column_stack(np.unravel_index(own[mine], family.shape))
-    return Level(nodes.astype(np.int32), unknown[mine], False)
+    return LatticeLevel(nodes.astype(np.int32), unknown[mine], False)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -286,7 +286,7 @@ def _rows_of(at, place, weights, rows, columns, size, indptr, indices, values):
             indptr[row + 1] += indptr[row]
 
 
-def interpolations(comm: MPI.Intracomm, levels: Sequence[Level]) -> list[PETSc.Mat]:
+def interpolations(comm: MPI.Intracomm, levels: Sequence[LatticeLevel]) -> list[PETSc.Mat]:
     """Matrices from the unknowns of each coarser level to those of the finer one. Collective.
 
     Rows of prescribed components are zero. Prescribed components of coarse nodes have no columns.
@@ -301,7 +301,7 @@ def interpolations(comm: MPI.Intracomm, levels: Sequence[Level]) -> list[PETSc.M
     return [_interpolation(comm, *pair) for pair in itertools.pairwise(levels)]
 
 
-def _interpolation(comm: MPI.Intracomm, fine: Level, coarse: Level) -> PETSc.Mat:
+def _interpolation(comm: MPI.Intracomm, fine: LatticeLevel, coarse: LatticeLevel) -> PETSc.Mat:
     family = fine.family
     assert family is not None
     known = np.asarray(np.ravel_multi_index(tuple(coarse.nodes.T), family.shape), np.int64)

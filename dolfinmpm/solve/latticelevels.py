@@ -19,7 +19,7 @@ from petsc4py import PETSc
 from dolfinmpm.basis import LeafBasis, LinearBasis
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.solve.interpolations import (
-    Level,
+    LatticeLevel,
     interpolations,
     knot_insertion,
     lattice_family,
@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 _COARSEST = 500
 
 
-def finest_level(here: Activation) -> Level:
+def finest_level(here: Activation) -> LatticeLevel:
     """The unknowns of the first field as the finest level. Collective."""
     unknowns = here.unknowns
     field, basis = unknowns.fields[0], here.fields[0].basis
@@ -44,7 +44,7 @@ def finest_level(here: Activation) -> Level:
     free = ~field.fixed[nodes]
     ijk = (basis.fine if isinstance(basis, LeafBasis) else basis.halo.node_ijk)[nodes]
     if unknowns.comm.size == 1:
-        return Level(ijk, free, field.blocks)
+        return LatticeLevel(ijk, free, field.blocks)
     # rows are not always with the owner of the node
     block = field.components if field.blocks else 1
     rows = np.repeat(ijk, field.components, axis=0)
@@ -54,18 +54,20 @@ def finest_level(here: Activation) -> Level:
         columns = columns[free.ravel()]
     sent = np.column_stack([unknowns.shared_out(np.array(c)) for c in columns.T])
     if field.blocks:
-        return Level(sent[::block, :-2].astype(np.int32), sent[:, -1].reshape(-1, block) > 0, True)
+        return LatticeLevel(
+            sent[::block, :-2].astype(np.int32), sent[:, -1].reshape(-1, block) > 0, True
+        )
     return _from_rows(sent[:, :-2].astype(np.int32), sent[:, -2].astype(int), field.components)
 
 
-def _from_rows(ijk, component, components: int) -> Level:
+def _from_rows(ijk, component, components: int) -> LatticeLevel:
     """A level from the nodes and components of rows without blocks."""
     first = np.ones(len(ijk), bool)
     first[1:] = np.any(ijk[1:] != ijk[:-1], axis=1)
     node = np.cumsum(first) - 1
     free = np.zeros((int(first.sum()), components), bool)
     free[node, component] = True
-    return Level(ijk[first], free, False)
+    return LatticeLevel(ijk[first], free, False)
 
 
 def lattice_families(lines: Sequence[Array], degree: int) -> Iterator[FamilyOf]:
@@ -81,7 +83,9 @@ def lattice_families(lines: Sequence[Array], degree: int) -> Iterator[FamilyOf]:
         yield functools.partial(lattice_family, parents=[parents for _, parents in made])
 
 
-def levels_of(comm: MPI.Intracomm, finest: Level, families: Iterable[FamilyOf]) -> list[Level]:
+def levels_of(
+    comm: MPI.Intracomm, finest: LatticeLevel, families: Iterable[FamilyOf]
+) -> list[LatticeLevel]:
     """Levels from the finest one to the coarsest one. Collective.
 
     Args:

@@ -25,14 +25,14 @@ from dolfinmpm.solve.newton import Newton, Outcome
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
-__all__ = ["Reader", "Stage", "Tape", "follow", "record"]
+__all__ = ["Reader", "Tape", "TapedStep", "follow", "record"]
 
 Array = npt.NDArray[np.float64]
 Kind = TypeVar("Kind")
 
 
 @dataclass
-class Stage:
+class TapedStep:
     """One solution of a run.
 
     Attributes:
@@ -99,7 +99,7 @@ class Tape:
     """
 
     def __init__(self) -> None:
-        self.stages: list[Stage] = []
+        self.stages: list[TapedStep] = []
         self.readers = 0
         self._solvers: list[LinearSolver] = []
 
@@ -119,7 +119,7 @@ class Tape:
             border: The additional equations, if there are any.
         """
         unknowns = operator.here.unknowns
-        stage = Stage(outcome, unknowns)
+        stage = TapedStep(outcome, unknowns)
         at = sum(one.linear is not None for one in self.stages)
         self.stages.append(stage)
         if outcome.reason is not None or unknowns.total == 0:
@@ -188,7 +188,7 @@ class Reader:
         self._at, self.off = 0, []
         self._changes.clear()
 
-    def change(self, stage: Stage, force: Array) -> Array:
+    def change(self, stage: TapedStep, force: Array) -> Array:
         """Change of the unknowns by a change of the out-of-balance force. Collective.
 
         Args:
@@ -202,7 +202,7 @@ class Reader:
         self._changes[self._at] = found
         return found
 
-    def next(self, operator: Operator) -> Stage | None:
+    def next(self, operator: Operator) -> TapedStep | None:
         """The next solution, or None if the equations have other unknowns. Collective."""
         stages = self.tape.stages
         if self._at >= len(stages):
@@ -220,7 +220,7 @@ class Reader:
         self.off.append("other cells are active")
         return None
 
-    def compare(self, stage: Stage, operator: Operator) -> None:
+    def compare(self, stage: TapedStep, operator: Operator) -> None:
         """Note contacts that touch, stick or slip at other points than on the tape. Collective."""
         if not stage.states:
             return

@@ -12,7 +12,7 @@ import dolfinmpm as mpm
 from dolfinmpm.basis.bspline import greville
 from dolfinmpm.solve import latticelevels
 from dolfinmpm.solve.interpolations import (
-    Level,
+    LatticeLevel,
     interpolations,
     knot_insertion,
     lattice_family,
@@ -71,7 +71,7 @@ def test_active_nodes_get_polynomials(basis, degree, stabilisation):
     lines = of_basis.lattice.lines
     free = finest_level(here)
     # all components free, so that no parent is missing
-    finest = Level(free.nodes, np.ones_like(free.free), False)
+    finest = LatticeLevel(free.nodes, np.ones_like(free.free), False)
     levels = levels_of(MPI.COMM_SELF, finest, lattice_families(lines, degree))
     assert len(levels) > 1
     [P] = interpolations(MPI.COMM_SELF, levels[:2])
@@ -92,7 +92,7 @@ def test_nodes_of_leaves_get_linear_functions(kind, n, monkeypatch):
     monkeypatch.setattr(latticelevels, "_COARSEST", 1)
     here = body(n, kind, levels=3).activate()
     basis, finest = here.fields[0].basis, finest_level(here)
-    finest = Level(finest.nodes, np.ones_like(finest.free), False)
+    finest = LatticeLevel(finest.nodes, np.ones_like(finest.free), False)
     levels = levels_of(MPI.COMM_SELF, finest, leaf_families(basis.leaves))
     assert len(levels) > 2
     d = finest.nodes.shape[1]
@@ -123,7 +123,7 @@ def test_prescribed_nodes_have_prescribed_parents():
     nodes = np.arange(5, dtype=np.int32)[:, None]
     fixed = np.array([False, True, True, True, True])[:, None]
     _, parents = knot_insertion(np.arange(5.0), 1)
-    fine = Level(nodes, fixed, True, lattice_family(nodes, [parents]))
+    fine = LatticeLevel(nodes, fixed, True, lattice_family(nodes, [parents]))
     coarse = next_level(MPI.COMM_SELF, fine)
     assert coarse.nodes.ravel().tolist() == [1, 2]
     [P] = interpolations(MPI.COMM_SELF, [fine, coarse])
