@@ -180,6 +180,11 @@ def UnreadOptionWarning():
     problem(points, V, *mpm.fixed(V, "bottom"), *down, petsc_options={"ksp_tpye": "cg"}).step()
 
 
+def DriftingRecordWarning():
+    pulse = mpm.InputMotion([0.0, 1.0, 2.0], acceleration=[0.0, 1.0, 0.0])
+    pulse(3.0)
+
+
 def SingularMassWarning():
     grid = mesh.create_interval(MPI.COMM_WORLD, 44, [0.0, 22.0])
     body = mpm.Box((0.5001,), (10.5001,))  # its last cell is cut to a sliver
