@@ -22,8 +22,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-from derivative_scenes import CASES, SAND, by_whole_runs, footing, history_of, sizes_of
+from derivative_scenes import CASES, SAND, errors_of, footing, history_of, sizes_of
 from options import Options, natural, option, positive
 from scene import finish, say
 
@@ -55,14 +54,7 @@ def compare(name):
     """One row of the table: an example, and the largest error per parameter."""
     scene, parameters = CASES[name]
     found = study.differentiate(scene, parameters, scales=sizes_of(name), **HOW)
-    derivatives = found.derivatives
-    largest = {k: max(np.abs(d).max() for d in by.values()) for k, by in derivatives.items()}
-    errors = {}
-    for m in parameters:
-        whole = by_whole_runs(scene, parameters, m, found.scales[m], args.difference)
-        errors[m] = max(
-            float(np.abs(whole[k] - by[m]).max() / largest[k]) for k, by in derivatives.items()
-        )
+    errors = errors_of(scene, parameters, found, args.difference)
     return {"case": name, "error": max(errors.values()), "errors": errors, "notes": found.notes}
 
 
