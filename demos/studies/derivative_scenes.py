@@ -18,10 +18,10 @@ __all__ = ["CASES", "SAND", "by_whole_runs", "errors_of", "footing", "history_of
 TIGHT = 1e-12
 
 
-def grid_of(corner, cells):
+def grid_of(corner, cells, comm=MPI.COMM_WORLD):
     """A rectangular grid from the origin to a corner (m)."""
     lines = [np.linspace(0.0, end, n + 1) for end, n in zip(corner, cells)]
-    return mpm.create_lattice(MPI.COMM_WORLD, lines)
+    return mpm.create_lattice(comm, lines)
 
 
 def mean_of(points, values):

@@ -8,17 +8,20 @@
 #
 # A shorter correlation length averages strong and weak clay along the slip surface. The variance of
 # the factor falls, and β grows. Modes that are left out take variance away, too: give more modes
-# for shorter lengths. `--check` compares the probability with sampling about the design point.
+# for shorter lengths. `--check` compares the probability with sampling about the design point, and
+# `--runs` with plain Monte Carlo sampling, whose runs go side by side on the ranks.
 
 # %%
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import ufl
 from derivative_scenes import grid_of
 from dolfinx import fem
+from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say
 
@@ -39,6 +42,7 @@ class Input(Options):
     steps: int = natural(5, "steps along the path")
     length: float = positive(0.004, "mean settlement per step (m)")
     check: int = option(0, "runs of the sampling, 0 for none", least=0)
+    runs: int = option(0, "runs of plain Monte Carlo sampling, 0 for none", least=0)
     seed: int = natural(1, "of the sampling")
 
 
@@ -48,11 +52,11 @@ GROUND = mpm.Polygon([(0, 0), (WIDTH, 0), (WIDTH, FOOT), (13, FOOT), (8, TOP), (
 
 
 # %%
-def slope(m, field):
+def slope(m, comm, field):
     """A slope under a growing weight; its figure is the factor of safety less one."""
     h = WIDTH / args.cells
     rows = int(np.ceil(TOP / h)) + 1
-    grid = grid_of((WIDTH, rows * h), (args.cells, rows))
+    grid = grid_of((WIDTH, rows * h), (args.cells, rows), comm)
     points = mpm.fill(grid, GROUND, 2, 2000.0)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
@@ -78,7 +82,8 @@ for length in args.lengths:
         modes=args.modes,
     )  # fmt: skip
     given = {name: study.Normal() for name in field.names}
-    found = study.reliability(lambda m, field=field: slope(m, field), given, tolerance=1e-2)
+    scene = partial(slope, field=field)
+    found = study.reliability(partial(scene, comm=MPI.COMM_WORLD), given, tolerance=1e-2)
     row = {
         "length": length, "beta": found.beta, "probability": found.probability,
         "share": field.share, "runs": found.runs[0], "design": found.design,
@@ -92,6 +97,13 @@ for length in args.lengths:
         probability, variation = found.check(args.check, args.seed)
         row |= {"sampled": probability, "variation": variation}
         say(f"  sampled about the design point: {probability:.2e}, ± {variation:.1%}")
+    if args.runs:
+        plain = study.monte_carlo(scene, given, runs=args.runs, seed=args.seed, ranks=1)
+        row |= {"plain": plain.probability, "plain_beta": plain.beta}
+        say(
+            f"  plain sampling: β = {plain.beta:.3f}, probability {plain.probability:.2e}, "
+            f"± {plain.variation:.1%}"
+        )
     rows.append(row)
     if not args.no_plot:
         # the most likely weak zone

@@ -82,6 +82,7 @@ sphinx_gallery_conf = {
     "plot_gallery": str(run),
     "image_scrapers": (NewFiles(),),
     "reset_modules": (),
+    "parallel": os.process_cpu_count(),
     "capture_repr": (),
     "within_subsection_order": "FileNameSortKey",
     "download_all_examples": False,

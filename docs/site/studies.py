@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +23,25 @@ sys.path.insert(0, str(ROOT / "docs"))
 def run_studies(run: bool = True) -> None:
     """Runs each study that has not run with these sources, and writes its page."""
     sources = digest((BUILD / "package").read_text(), *map(Path.read_text, _files()))
-    for name, card in cards.entries()["studies"].items():
-        folder = BUILD / "studies" / name
-        stamp, key = folder / "stamp", digest(sources, card["arguments"])
-        if run and (not stamp.exists() or stamp.read_text() != key):
+    entries = cards.entries()["studies"]
+
+    def renew(name: str) -> None:
+        arguments, folder = entries[name]["arguments"], BUILD / "studies" / name
+        stamp, key = folder / "stamp", digest(sources, arguments)
+        if not stamp.exists() or stamp.read_text() != key:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
-            print(f"running the study {name} {card['arguments']}", flush=True)
-            _run(name, card["arguments"], folder)
+            print(f"running the study {name} {arguments}", flush=True)
+            _run(name, arguments, folder)
             stamp.write_text(key)
-        if stamp.exists():
+
+    if run:
+        # each study is a process of its own, so threads of this one only wait
+        with ThreadPoolExecutor(os.process_cpu_count()) as several:
+            list(several.map(renew, entries))
+    for name, card in entries.items():
+        folder = BUILD / "studies" / name
+        if (folder / "stamp").exists():
             write_page(name, card, folder)
 
 

@@ -100,7 +100,7 @@ def number(
     what: str,
     value: Any,
     low: float = -math.inf,
-    high: float = math.inf,
+    high: float | None = None,
     unit: str = "",
     closed: bool = False,
 ) -> float:
@@ -110,10 +110,9 @@ def number(
         what: Name of the argument.
         value: The argument; words and truth values are no numbers.
         low: Lower limit.
-        high: Upper limit.
+        high: Upper limit; None is no limit, but infinity is refused.
         unit: Unit of the value and the limits.
-        closed: Whether the limits themselves are allowed. Infinity is allowed only as an upper
-            limit.
+        closed: Whether the limits themselves are allowed, also an upper limit of infinity.
 
     Raises:
         ParameterError: The value is no number, or not between the limits.
@@ -123,10 +122,11 @@ def number(
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         raise ParameterError(f"{what} = {shown(value)} must be a number{unit and f' ({unit})'}")
     given = float(value)
-    inside = low <= given <= high if closed else low < given < high
+    most = math.inf if high is None else high
+    inside = low <= given <= most if closed else low < given < most
     if not inside or (math.isinf(given) and not (closed and given == high)):
         left = f"{'at least' if closed else 'above'} {low:g}" if low > -math.inf else ""
-        right = f"{'at most' if closed else 'below'} {high:g}" if high < math.inf else ""
+        right = f"{'at most' if closed else 'below'} {most:g}" if most < math.inf else ""
         limits = " and ".join(limit for limit in (left, right) if limit) or "finite"
         undefined = "; nan is the result of a failed computation" * math.isnan(given)
         raise ParameterError(f"{what} = {given:g}{unit and f' {unit}'} must be {limits}{undefined}")
@@ -146,6 +146,20 @@ def whole(what: str, value: Any, least: int) -> int:
     if given is None or given < least:
         raise ParameterError(f"{what} = {shown(value)} must be a whole number of at least {least}")
     return given
+
+
+def per_direction(what: str, given: Any, directions: int) -> npt.NDArray[np.float64]:
+    """One number per direction, shape (directions,); one number counts for all.
+
+    Raises:
+        ParameterError: The argument has something else, or another count.
+    """
+    values = coordinates(what, given)
+    if values.shape not in {(), (directions,)}:
+        raise ParameterError(
+            f"{what} = {shown(given)} must be one number, or {directions}: one per direction"
+        )
+    return np.array(np.broadcast_to(values, (directions,)))
 
 
 def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:

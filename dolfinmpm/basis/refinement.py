@@ -65,12 +65,21 @@ class SizeAt:
         t = 0.5 * np.array(list(np.ndindex(*(3,) * gdim)))
         x = low[:, None] + t * (high - low)[:, None]
         sizes = call_function("the size wanted (refine)", self._size, x.reshape(-1, gdim))
+        wrong = ~(sizes >= 0)
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise ParameterError(
+                f"the size wanted (refine) is {sizes[k]:g} m at {shown(x.reshape(-1, gdim)[k])}: "
+                "it must be a length; inf takes cells as large as those of the grid"
+            )
         return np.asarray(sizes.reshape(len(low), -1).min(axis=1))
 
 
 def _sizes(given: Any) -> tuple[CellSize, ...]:
     """The sizes wanted, as a tuple of `CellSize`."""
     every = given if isinstance(given, (tuple, list)) else (given,)
+    if not every:
+        raise ParameterError("refine = [] has no size: leave refine and levels out for one size")
     made: list[CellSize] = []
     for one in every:
         if isinstance(one, CellSize):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinmpm._platform.argumentchecks import coordinates, number
+from dolfinmpm._platform.argumentchecks import coordinates, number, per_direction
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.rasterfiles import Raster
 
@@ -31,7 +31,7 @@ def raster_of_array(raster: Any, spacing: Any, corner: Any) -> Raster:
         )
     if spacing is None:
         raise ParameterError("an array needs its spacing (m): from_raster(heights, spacing=10.0)")
-    size = np.broadcast_to(coordinates("spacing", spacing), (2,))
+    size = per_direction("spacing", spacing, 2)
     for one in size:
         number("spacing", float(one), 0.0, unit="m")
     low = coordinates("corner", corner)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.shapesurface import surface_of
 
@@ -88,7 +88,13 @@ class _WhereItYields:
     def wanted(self, low: Array, high: Array) -> Array:
         """See `dolfinmpm.basis.refinement.CellSize`."""
         points, sizes = self._points, np.full(len(low), np.inf)
-        chosen = points[self._field] > self._least
+        values = points[self._field]
+        if values.ndim > 1:
+            raise ParameterError(
+                f"field = {self._field!r} has shape {values.shape[1:]} at each point; refinement "
+                "needs a field of one number, such as plastic_strain"
+            )
+        chosen = values > self._least
         every = points.comm.allgather(points["x"][chosen])
         x = np.concatenate(every)
         if not len(x) or not len(low):
@@ -138,4 +144,5 @@ def where_it_yields(
         raise ParameterError(f"points = {shown(points)} must be material points")
     number("size", size, 0.0, unit="m")
     number("least", least)
+    check_kind("field", field, str, "the name of a field of the points")
     return _WhereItYields(points, float(size), field, float(least))

@@ -192,6 +192,8 @@ def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
             f"faces act on a displacement; the field has shape {space.increment.ufl_shape}, not "
             f"{(gdim,)}"
         )
+    if not sides:
+        raise ParameterError('no side is given: name the sides that it acts on, such as "bottom"')
     names = [side_of(side, gdim)[0] for side in sides]
     again = [side for k, side in enumerate(sides) if names[k] in names[:k]]
     if again:

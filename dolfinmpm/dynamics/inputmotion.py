@@ -155,7 +155,7 @@ class InputMotion:
 
     def scaled(self, factor: float) -> InputMotion:
         """The record times a factor: 0.5 makes the upward wave of a record at an outcrop."""
-        return self._changed(factor * self._samples())
+        return self._changed(number("factor", factor) * self._samples())
 
     def corrected(self) -> InputMotion:
         """The record after a correction of its baseline: velocity and displacement end with 0.

@@ -9,18 +9,14 @@ from dolfinmpm.io.tables import read_table, write_table
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.calibration import Calibration, calibrate
 from dolfinmpm.study.condition import Conditioning, conditioning
-from dolfinmpm.study.derivatives import Derivatives, Run, differentiate
+from dolfinmpm.study.derivatives import Derivatives, differentiate
+from dolfinmpm.study.distributions import LogNormal, Normal
 from dolfinmpm.study.elementtest import element_test
 from dolfinmpm.study.randomfields import RandomField
 from dolfinmpm.study.reduction import factor_of_safety, reduced_strength
-from dolfinmpm.study.reliability import (
-    LimitState,
-    LogNormal,
-    Normal,
-    Reliability,
-    limit_state,
-    reliability,
-)
+from dolfinmpm.study.reliability import LimitState, Reliability, limit_state, reliability
+from dolfinmpm.study.samples import MonteCarlo, monte_carlo
+from dolfinmpm.study.scenerun import Run
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 from dolfinmpm.study.trial import FactorOfSafety, Trial
 
@@ -31,6 +27,7 @@ __all__ = [
     "FactorOfSafety",
     "LimitState",
     "LogNormal",
+    "MonteCarlo",
     "Normal",
     "RandomField",
     "Reliability",
@@ -48,6 +45,7 @@ __all__ = [
     "element_test",
     "factor_of_safety",
     "limit_state",
+    "monte_carlo",
     "observed_orders",
     "overall_order",
     "read_table",

@@ -8,16 +8,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_function, number, shown, whole
-from dolfinmpm._platform.errors import (
-    ConvergenceError,
-    ParameterError,
-    PointsOutsideGridError,
-    StateError,
-)
-from dolfinmpm.study.derivatives import Run, Scene, differentiate, sizes_of
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown, whole
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.study.derivatives import sizes_of
+from dolfinmpm.study.scenerun import Scene
+from dolfinmpm.study.weightedresiduals import WeightedResiduals
 
 __all__ = ["Calibration", "calibrate"]
 
@@ -107,105 +103,6 @@ class Calibration:
         axes.legend()
 
 
-class _Residuals:
-    """Weighted residuals and their derivatives; both come from one run.
-
-    Args:
-        scene: The example.
-        start: First values of the parameters.
-        sizes: Sizes of the parameters.
-        measured: Name → measurements after each step; NaN where there is none.
-        weights: Name → weights, of the same shapes.
-        say: Function of a row of the trace, or None.
-
-    Attributes:
-        trace: Rows of the trace.
-    """
-
-    def __init__(
-        self, scene: Scene, start: Mapping[str, float], sizes: Mapping[str, float],
-        measured: dict[str, Array], weights: dict[str, Array],
-        say: Callable[[dict[str, Any]], Any] | None,
-    ):  # fmt: skip
-        self._scene, self._start, self._sizes, self._say = scene, dict(start), dict(sizes), say
-        self._measured, self._weights = measured, weights
-        self.trace: list[dict[str, Any]] = []
-        self._comm: MPI.Intracomm = MPI.COMM_SELF
-        self._known: dict[bytes, tuple[Array, Array, dict[str, Array]]] = {}
-
-    def at(self, x: Array) -> dict[str, float]:
-        """Parameters at coordinates: ln (m / start) of positive ones, (m − start) / size."""
-        return {
-            name: value * float(np.exp(q)) if value > 0 else value + float(q) * self._sizes[name]
-            for (name, value), q in zip(self._start.items(), x)
-        }
-
-    def coordinate(self, name: str, value: float) -> float:
-        """Coordinate of a value of a parameter; the inverse of `at`."""
-        start = self._start[name]
-        if start > 0:
-            return float(np.log(value / start)) if value > 0 else -np.inf
-        return (value - start) / self._sizes[name]
-
-    def _built(self, m: dict[str, float]) -> Run:
-        run = self._scene(m)
-        if isinstance(run, Run):
-            self._comm = run.problems[0].comm
-        return run
-
-    def run(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:
-        """Residuals, their derivatives, and figures, of a run at coordinates. Collective."""
-        # all ranks must take the same way to the last bit
-        x = np.asarray(self._comm.bcast(x))
-        if x.tobytes() not in self._known:
-            self._known = {x.tobytes(): self._new(x)}
-        return self._known[x.tobytes()]
-
-    def _new(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:
-        m, failed, figures = self.at(x), "", {}
-        scales = {k: self._sizes[k] for k, value in self._start.items() if value <= 0}
-        count = sum(int(np.isfinite(values).sum()) for values in self._measured.values())
-        residuals, slopes = np.full(count, np.inf), np.full((count, x.size), np.nan)
-        try:
-            found = differentiate(self._built, m, scales=scales, central=False)
-        except (ConvergenceError, PointsOutsideGridError, StateError) as error:
-            if not self.trace:
-                raise
-            failed = str(error)
-        else:
-            figures = found.figures
-            self._check(figures)
-            keep = {k: np.isfinite(values) for k, values in self._measured.items()}
-            residuals = np.concatenate([
-                (self._weights[k] * (figures[k] - values))[keep[k]]
-                for k, values in self._measured.items()
-            ])  # fmt: skip
-            slopes = np.concatenate([
-                np.stack([(w * found.derivatives[k][p])[keep[k]] for p in m], axis=-1)
-                for k, w in self._weights.items()
-            ])  # fmt: skip
-            residuals, slopes = self._comm.bcast((residuals, slopes))
-        misfit = float(np.sqrt(np.mean(residuals**2)))
-        row = {**m, "misfit": misfit, "failed": failed}
-        self.trace.append(row)
-        if self._say is not None:
-            self._say(row)
-        return residuals, slopes, figures
-
-    def _check(self, figures: Mapping[str, Array]) -> None:
-        """Raise ParameterError unless the run has all that was measured."""
-        for name, values in self._measured.items():
-            if name not in figures:
-                raise ParameterError(
-                    f"measured has '{name}', and the figures of the scene are {', '.join(figures)}"
-                )
-            if figures[name].shape != values.shape:
-                raise ParameterError(
-                    f"measured['{name}'] has the shape {values.shape}, and the figure has "
-                    f"{figures[name].shape}: one row per step, NaN where nothing was measured"
-                )
-
-
 def calibrate(
     scene: Scene,
     start: Mapping[str, float],
@@ -264,13 +161,15 @@ def calibrate(
     number("confidence", confidence, 0.5, 0.9999)
     number("tolerance", tolerance, 1e-14, 0.1)
     whole("max_runs", max_runs, 1)
+    if progress is not None:
+        check_function("progress", progress, "of a row of the trace")
     data, scaled = _measurements(measured, {} if weights is None else weights)
     count = sum(int(np.isfinite(values).sum()) for values in data.values())
     if count < len(start):
         raise ParameterError(
             f"{count} measurements cannot tell {len(start)} parameters: measure more"
         )
-    residuals = _Residuals(scene, start, sizes, data, scaled, progress)
+    residuals = WeightedResiduals(scene, start, sizes, data, scaled, progress)
     limits = _limits(residuals, start, {} if bounds is None else bounds)
     found = least_squares(
         lambda x: residuals.run(x)[0].copy(), np.zeros(len(start)),
@@ -287,33 +186,49 @@ def _measurements(
     """Measurements and weights as arrays of the same shapes."""
     if not isinstance(measured, Mapping) or not measured:
         raise ParameterError(f"measured = {shown(measured)} must be a dictionary of arrays")
-    data = {name: np.array(values, float) for name, values in measured.items()}
+    data = {name: coordinates(f"measured['{name}']", v) for name, v in measured.items()}
+    if not isinstance(weights, Mapping):
+        raise ParameterError(
+            f"weights = {shown(weights)} must be a dictionary of numbers or arrays"
+        )
     for name in weights:
         if name not in data:
             raise ParameterError(f"weights has '{name}', and measured has {', '.join(data)}")
     scaled = {}
     for name, values in data.items():
         largest = np.nanmax(np.abs(values), initial=0.0)
-        given = np.asarray(weights.get(name, 1.0 / largest if largest else 1.0), float)
-        if (given.ndim and given.shape != values.shape) or not (given >= 0).all():
+        given = coordinates(
+            f"weights['{name}']", weights.get(name, 1.0 / largest if largest else 1.0)
+        )
+        fits = given.ndim == 0 or given.shape == values.shape
+        if not (fits and (given >= 0).all() and np.isfinite(given).all()):
             raise ParameterError(
                 f"weights['{name}'] must be zero or positive, a number or an array of the shape "
                 f"{values.shape} of the measurements"
             )
         scaled[name] = np.broadcast_to(given, values.shape)
+    if scaled and all(w.size and not w.any() for w in scaled.values()):
+        raise ParameterError("weights are all zero: let some measurement count")
     return data, scaled
 
 
 def _limits(
-    residuals: _Residuals, start: Mapping[str, float], bounds: Bounds
+    residuals: WeightedResiduals, start: Mapping[str, float], bounds: Bounds
 ) -> tuple[Array, Array]:
     """Bounds of the coordinates."""
     low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
     names = list(start)
+    if not isinstance(bounds, Mapping):
+        raise ParameterError(
+            f"bounds = {shown(bounds)} must be a dictionary of pairs, such as {{'E': (1e6, 1e8)}}"
+        )
     for name, ends in bounds.items():
         if name not in names:
             raise ParameterError(f"bounds has '{name}', and the parameters are {', '.join(names)}")
-        least, most = (float(number(f"bounds['{name}']", end)) for end in ends)
+        pair = coordinates(f"bounds['{name}']", ends)
+        if pair.shape != (2,):
+            raise ParameterError(f"bounds['{name}'] = {shown(ends)} must be (least, largest)")
+        least, most = (number(f"bounds['{name}']", float(end)) for end in pair)
         if not least < start[name] < most:
             raise ParameterError(
                 f"the start {name} = {start[name]:g} must be between its bounds {least:g} and "
@@ -325,7 +240,7 @@ def _limits(
 
 
 def _judged(
-    residuals: _Residuals, found: Any, r: Array, slopes: Array, figures: dict[str, Array],
+    residuals: WeightedResiduals, found: Any, r: Array, slopes: Array, figures: dict[str, Array],
     data: dict[str, Array], confidence: float,
 ) -> Calibration:  # fmt: skip
     """The result, with its covariance and with what the measurements do not tell."""

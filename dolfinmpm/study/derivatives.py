@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,17 +11,23 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_function, check_kind, number, shown, truth
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_kind,
+    coordinates,
+    number,
+    shown,
+    truth,
+)
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import Marks, differences, mirror
+from dolfinmpm.study.scenerun import Run, Scene
 from dolfinmpm.study.tape import Reader, Tape, follow, record
 
-__all__ = ["Derivatives", "Run", "Scene", "differentiate", "sizes_of"]
+__all__ = ["Derivatives", "differentiate", "sizes_of"]
 
 Array = npt.NDArray[np.float64]
-Scene = Callable[[dict[str, float]], "Run"]
 # name of a figure → parameter → values after each step
 _Found = dict[str, dict[str, list[Array]]]
 
@@ -31,44 +37,6 @@ CENTRAL, ONE_SIDED = 1e-6, 3e-8
 # Ratio of the second perturbation of an estimate to the first one, and the estimated error from
 # which a derivative is doubtful
 _SECOND, _DOUBTFUL = 8.0, 1e-3
-
-
-@dataclass
-class Run:
-    """An example at given parameters, ready for its first step.
-
-    Attributes:
-        problem: The problem, or problems that take the steps.
-        steps: One function per step. A function sets the loads, and calls `problem.step`. Or an
-            iterator that takes a step each time it is asked for the next item.
-        measured: Name → function that returns a figure after a step: a number, or an array of the
-            same shape for all parameters, equal on all ranks.
-
-    One step of a bar:
-
-    >>> import dolfinmpm as mpm
-    >>> from mpi4py import MPI
-    >>> def scene(m):
-    ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
-    ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
-    ...     V = mpm.Space(grid, "gimp")
-    ...     F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.0), points, V.increment, V.test)
-    ...     bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.01)
-    ...     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
-    ...     stress = lambda: points["stress"][:, 1, 1].mean()
-    ...     return mpm.study.Run(problem, [problem.step], {"stress": stress})
-    >>> round(float(scene({"E": 1e6}).measured["stress"]()), 1)
-    0.0
-    """
-
-    problem: Problem | Sequence[Problem]
-    steps: Iterable[Any]
-    measured: Mapping[str, Callable[[], npt.ArrayLike]]
-
-    @property
-    def problems(self) -> list[Problem]:
-        """The problems, as a list."""
-        return [self.problem] if isinstance(self.problem, Problem) else list(self.problem)
 
 
 @dataclass
@@ -127,7 +95,6 @@ class _Member:
         check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
         self.run, self.problems = run, run.problems
         for problem in self.problems:
-            check_kind("problem", problem, Problem, "give a problem of dolfinmpm")
             if problem.history:
                 raise ParameterError(
                     f"the scene has taken {len(problem.history)} steps before its run: give them "
@@ -153,7 +120,8 @@ class _Member:
     def measure(self) -> dict[str, Array]:
         """The figures in the present state. Collective."""
         return {
-            name: np.array(get(), np.float64, copy=True) for name, get in self.run.measured.items()
+            name: coordinates(f"measured['{name}']", get())
+            for name, get in self.run.measured.items()
         }
 
 
@@ -225,6 +193,12 @@ class _Pair:
             self.notes.setdefault(reason, []).append(base.taken)
         plus, *others = (member.measure() for member in self.members)
         middle = base.measure()
+        for name, value in plus.items():
+            if value.shape != middle[name].shape:
+                raise ParameterError(
+                    f"measured['{name}'] has the shape {middle[name].shape}, and {value.shape} at "
+                    f"another {self.name}: let it be the same for all parameters"
+                )
         if not others:
             return {k: np.asarray((plus[k] - middle[k]) / self.epsilon) for k in plus}
         minus, left = others[0], [bool(reasons) for reasons in leaves]
@@ -335,6 +309,8 @@ def differentiate(
             for pair in pairs:
                 for k, value in pair.advance(base, marks).items():
                     derivatives[k][pair.name].append(value)
+    if base.taken == 1:
+        raise ParameterError("the scene takes no step: derivatives are those of a run")
     seconds = {name: sum(p.seconds for pairs in sets for p in pairs if p.name == name)
                for name in sizes}  # fmt: skip
     seconds["run"] = time.perf_counter() - started - sum(seconds.values())

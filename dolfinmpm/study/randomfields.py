@@ -8,7 +8,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import choice, coordinates, number, shown, whole
+from dolfinmpm._platform.argumentchecks import (
+    check_kind,
+    choice,
+    coordinates,
+    number,
+    per_direction,
+    shown,
+    whole,
+)
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["RandomField"]
@@ -81,10 +89,9 @@ class RandomField:
             raise ParameterError(
                 f"high = {shown(high)} must be above low = {shown(low)} in each direction"
             )
-        given = np.broadcast_to(np.asarray(lengths, float), (gdim,))
-        for length in given:
-            number("lengths", float(length), 0.0)
-        self._lengths = np.array(given)
+        self._lengths = per_direction("lengths", lengths, gdim)
+        for length in self._lengths:
+            number("lengths", float(length), 0.0, unit="m")
         self._kernel = _KERNELS[choice("kernel", kernel, _KERNELS)]
         mean, coefficient = number("mean", mean), number("coefficient", coefficient, 0.0, 10.0)
         self._lognormal = lognormal
@@ -95,6 +102,7 @@ class RandomField:
         else:
             self._middle, self._deviation = mean, coefficient * abs(mean)
         count = whole("modes", modes, 1)
+        check_kind("name", name, str, 'such as "xi"')
         self.names = [f"{name}{k + 1}" for k in range(count)]
         self.share = self._solve(count)
 

@@ -12,90 +12,14 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_function, number, shown, whole
-from dolfinmpm._platform.errors import ConvergenceError, MissingPackageError, ParameterError
-from dolfinmpm.study.derivatives import Run, Scene, differentiate
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm.study.derivatives import differentiate
+from dolfinmpm.study.distributions import LogNormal, Normal, checked, openturns
+from dolfinmpm.study.scenerun import Run, Scene
 
-__all__ = ["LimitState", "LogNormal", "Normal", "Reliability", "limit_state", "reliability"]
+__all__ = ["LimitState", "Reliability", "limit_state", "reliability"]
 
 Array = npt.NDArray[np.float64]
-
-
-def _openturns() -> Any:
-    """OpenTURNS.
-
-    Raises:
-        MissingPackageError: It is not installed.
-    """
-    try:
-        import openturns
-    except ImportError:
-        raise MissingPackageError(
-            "reliability needs OpenTURNS, which is not installed: python3 -m pip install "
-            "openturns, apt-get install python3-openturns, or conda install -c conda-forge "
-            "openturns"
-        ) from None
-    return openturns
-
-
-@dataclass(frozen=True)
-class Normal:
-    """A normal distribution of a parameter.
-
-    Args:
-        mean: Mean.
-        deviation: Standard deviation, in the same unit.
-
-    >>> import dolfinmpm as mpm
-    >>> mpm.study.Normal(30.0, 2.0).middle
-    30.0
-    """
-
-    mean: float = 0.0
-    deviation: float = 1.0
-
-    def __post_init__(self) -> None:
-        number("mean", self.mean)
-        number("deviation", self.deviation, 0.0)
-
-    @property
-    def middle(self) -> float:
-        """The median."""
-        return self.mean
-
-    def made(self) -> Any:
-        """The distribution of OpenTURNS."""
-        return _openturns().Normal(self.mean, self.deviation)
-
-
-@dataclass(frozen=True)
-class LogNormal:
-    """A lognormal distribution of a parameter.
-
-    Args:
-        mean: Mean.
-        coefficient: Coefficient of variation.
-
-    >>> import dolfinmpm as mpm
-    >>> round(mpm.study.LogNormal(20e3, 0.3).middle)
-    19157
-    """
-
-    mean: float
-    coefficient: float
-
-    def __post_init__(self) -> None:
-        number("mean", self.mean, 0.0)
-        number("coefficient", self.coefficient, 0.0)
-
-    @property
-    def middle(self) -> float:
-        """The median."""
-        return self.mean / math.sqrt(1 + self.coefficient**2)
-
-    def made(self) -> Any:
-        """The distribution of OpenTURNS."""
-        spread = math.sqrt(math.log1p(self.coefficient**2))
-        return _openturns().LogNormal(math.log(self.middle), spread, 0.0)
 
 
 class LimitState:
@@ -119,6 +43,12 @@ class LimitState:
 
     def __init__(self, scene: Scene, limit: str, sizes: Mapping[str, float]):
         check_function("scene", scene, "of a dictionary of parameters")
+        if not isinstance(sizes, Mapping) or not sizes:
+            raise ParameterError(
+                f"sizes = {shown(sizes)} must be a dictionary of numbers, such as {{'E': 1e5}}"
+            )
+        for name, size in sizes.items():
+            number(f"sizes['{name}']", size, 0.0)
         self._scene, self._limit, self._sizes = scene, limit, dict(sizes)
         self.names, self.runs = list(sizes), [0, 0]
         self._comm: MPI.Intracomm = MPI.COMM_SELF
@@ -193,7 +123,7 @@ class LimitState:
                 self.gradient(x)
             return [self(x)]
 
-        return _openturns().PythonFunction(
+        return openturns().PythonFunction(
             len(self.names), 1, value, gradient=lambda x: [[float(g)] for g in self.gradient(x)]
         )
 
@@ -259,11 +189,15 @@ class Reliability:
     def check(self, runs: int = 200, seed: int = 1) -> tuple[float, float]:
         """Probability of failure by sampling about the design point. Collective.
 
+        Args:
+            runs: Number of runs, on all ranks each.
+            seed: Seed of NumPy's generator.
+
         Returns:
             The probability, and its coefficient of variation; see Melchers (1989), *Importance
             sampling in structural systems*, doi 10.1016/0167-4730(89)90003-9.
         """
-        ot = _openturns()
+        ot = openturns()
         count, rng = whole("runs", runs, 2), np.random.default_rng(seed)
         u0 = np.array(list(self.normal_design.values()))
         found = np.zeros(count)
@@ -333,12 +267,10 @@ def reliability(
     >>> round(found.beta, 2)  # doctest: +SKIP
     1.96
     """
-    ot = _openturns()
+    ot = openturns()
     number("tolerance", tolerance, 1e-12, 0.1)
-    if not isinstance(distributions, Mapping) or not distributions:
-        raise ParameterError(
-            f"distributions = {shown(distributions)} must be a dictionary of distributions by name"
-        )
+    checked(distributions)
+    whole("max_iterations", max_iterations, 1)
     each = [d.made() if isinstance(d, (Normal, LogNormal)) else d for d in distributions.values()]
     sizes = {k: float(d.getStandardDeviation()[0]) for k, d in zip(distributions, each)}
     middle = [float(d.computeQuantile(0.5)[0]) for d in each]

@@ -89,6 +89,8 @@ def test_numbers():
         number("a", 1, 0.0, 1.0, "Pa")
     with pytest.raises(ParameterError, match=r"^a = inf must be finite$"):
         number("a", np.inf)
+    with pytest.raises(ParameterError, match=r"^a = inf must be at least 0$"):
+        number("a", np.inf, 0.0, closed=True)
     assert len(shown("x" * 500)) == 80
 
 

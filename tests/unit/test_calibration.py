@@ -118,6 +118,13 @@ def test_bounds_and_gaps(exact):
         ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"E": (1, 2)}}, "must be between its bounds 1 and 2"),
         ({"E": 1e4}, {"y": [1.0]}, {}, "measured has 'y', and the figures of the scene are motion"),
         ({"E": 1e4}, {"motion": [1.0]}, {}, r"has the shape \(1,\), and the figure has \(5, 2\)"),
+        ({"E": 1e4}, {"y": "soft"}, {}, "must be numbers"),
+        ({"E": 1e4}, {"y": [1.0]}, {"weights": {"y": 0.0}}, "weights are all zero"),
+        ({"E": 1e4}, {"y": [1.0]}, {"weights": {"y": np.inf}}, "must be zero or positive"),
+        ({"E": 1e4}, {"y": [1.0]}, {"weights": 2.0}, "must be a dictionary of numbers"),
+        ({"E": 1e4}, {"y": [1.0]}, {"bounds": 2.0}, "must be a dictionary of pairs"),
+        ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"E": 1.0}}, "must be .least, largest."),
+        ({"E": 1e4}, {"y": [1.0]}, {"progress": 1}, "progress"),
         ({"E": 1e4}, {"y": [np.nan]}, {}, "0 measurements cannot tell 1 parameters"),
     ],
 )

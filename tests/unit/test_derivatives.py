@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 
@@ -26,6 +27,8 @@ SHORT = {
 }
 # bounds of the errors: what differences of whole runs themselves are exact to
 ELASTIC, OTHERS = 1e-7, 1e-5
+# lengths of a figure that changes from run to run
+COUNT = itertools.count(1)
 
 
 def largest_error(name, names):
@@ -150,3 +153,26 @@ def test_bad_scenes():
 
     with pytest.raises(ParameterError, match="fewer steps at another E"):
         study.differentiate(shorter, {"E": 100.0})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"problem": None}, "give a problem of dolfinmpm"),
+        ({"steps": []}, "has no step"),
+        ({"steps": iter([])}, "the scene takes no step"),
+        ({"steps": [1, 2]}, "each of steps = 1"),
+        ({"measured": {}}, "must be a dictionary of functions"),
+        ({"measured": {"y": 1.0}}, "measured..y.. = 1.0"),
+        ({"measured": {"y": lambda: "low"}}, "must be numbers"),
+        ({"measured": {"y": lambda: np.ones(next(COUNT))}}, "at another E"),
+    ],
+)
+def test_bad_runs(change, message):
+    def scene(m):
+        run = swing({"E": m["E"], "density": 1.0, "velocity": 0.1}, steps=1)
+        given = {"problem": run.problem, "steps": run.steps, "measured": run.measured}
+        return study.Run(**given | change)
+
+    with pytest.raises(ParameterError, match=message):
+        study.differentiate(scene, {"E": 100.0})

@@ -159,12 +159,31 @@ def test_leaves_of_one_size_are_a_finer_grid():
         ({"basis": "gimp", "levels": None}, "go together"),
         ({"basis": "gimp", "levels": 11}, "at most 10"),
         ({"basis": "gimp", "refine": 0.1}, "must be a function of positions"),
+        ({"basis": "gimp", "refine": []}, "has no size"),
     ],
 )
 def test_bad_refinements_are_refused(options, text):
     options = {"refine": lambda x: np.ones(x.shape[1]), "levels": 2} | options
     with pytest.raises(mpm.errors.ParameterError, match=text):
         mpm.Space(lattice(2), options.pop("basis"), **options)
+
+
+@pytest.mark.parametrize("size", [np.nan, -1.0])
+def test_sizes_that_are_no_lengths_are_refused(size):
+    V = mpm.Space(lattice(2), "gimp", refine=lambda x: np.full(x.shape[1], size), levels=1)
+    with pytest.raises(mpm.errors.ParameterError, match="it must be a length"):
+        mpm.fill(V.grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0, refine=V)
+
+
+def test_refinement_needs_a_field_of_one_number():
+    grid = lattice(2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    points.add_field("vector", (2,), "m")
+    wanted = mpm.where_it_yields(points, 0.1, field="vector")
+    with pytest.raises(mpm.errors.ParameterError, match="a field of one number"):
+        wanted.wanted(np.zeros((1, 2)), np.ones((1, 2)))
+    with pytest.raises(mpm.errors.ParameterError, match="field = 1 must be a str"):
+        mpm.where_it_yields(points, 0.1, field=1)
 
 
 def test_integrals_over_the_grid_are_refused():

@@ -11,10 +11,13 @@ import pytest
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import MissingPackageError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, MissingPackageError, ParameterError
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
 from derivative_scenes import column
+
+# standard normal values, close enough for sums over their density
+GRID = np.linspace(-8, 8, 2001)
 
 
 def planned(margin):
@@ -78,6 +81,66 @@ def test_a_weight_that_may_be_too_large(openturns, tmp_path):
     assert probability == pytest.approx(found.probability, rel=3 * variation)
 
 
+def test_plain_sampling_of_a_linear_limit_state():
+    """The share of failures is that of the exact probability; a run without solution may count."""
+    given = {"strength": study.Normal(5.0, 0.7), "load": study.LogNormal(3.0, 0.3)}
+    m = column({"E": 10e3, "nu": 0.2, "density": 80.0}, steps=1)
+
+    def scene(values):
+        return study.Run(
+            m.problem, [lambda: None], {"margin": lambda: values["strength"] - values["load"]}
+        )
+
+    found = study.monte_carlo(scene, given, runs=20000, seed=3)
+    load = np.exp(math.log(given["load"].middle) + math.sqrt(math.log1p(0.09)) * GRID)
+    weight = np.exp(-(GRID**2) / 2) / np.exp(-(GRID**2) / 2).sum()
+    exact = sum(w * 0.5 * math.erfc((5.0 - x) / 0.7 / math.sqrt(2)) for w, x in zip(weight, load))
+    assert found.probability == pytest.approx(exact, rel=3 * found.variation)
+    assert found.variation == pytest.approx(math.sqrt((1 - exact) / exact / 20000), rel=0.1)
+    assert 0.5 * math.erfc(found.beta / math.sqrt(2)) == pytest.approx(found.probability)
+    again = study.monte_carlo(scene, given, runs=5, seed=3)
+    assert again.samples == study.monte_carlo(scene, given, runs=5, seed=3).samples
+
+    def failing(values):
+        def step():
+            raise ConvergenceError("no solution")
+
+        return study.Run(m.problem, [step], {"margin": lambda: 1.0})
+
+    with pytest.raises(ConvergenceError, match="no solution"):
+        study.monte_carlo(failing, given, runs=2)
+    assert study.monte_carlo(failing, given, runs=2, unconverged="failure").probability == 1.0
+
+
+@pytest.mark.parametrize(
+    ("distributions", "options", "message"),
+    [
+        ({}, {}, "must be a dictionary of distributions"),
+        ({"a": 1.0}, {}, "must be a study.Normal"),
+        ({"a": study.Normal()}, {"runs": 1}, "runs = 1"),
+        ({"a": study.Normal()}, {"ranks": 1}, "scene of two arguments"),
+        ({"a": study.Normal()}, {"limit": "safety"}, "is no figure of the scene"),
+        ({"a": study.Normal()}, {"unconverged": "skip"}, "unconverged"),
+    ],
+)
+def test_bad_samplings(distributions, options, message):
+    with pytest.raises(ParameterError, match=message):
+        study.monte_carlo(planned(lambda m: 1.0), distributions, **options)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        ({}, "must be a dictionary of numbers"),
+        ({"a": 0.0}, r"sizes\['a'\] = 0 must be above 0"),
+        ({"a": math.nan}, "nan"),
+    ],
+)
+def test_bad_sizes(sizes, message):
+    with pytest.raises(ParameterError, match=message):
+        study.limit_state(planned(lambda m: 1.0), "margin", sizes)
+
+
 def test_what_is_missing_or_wrong(monkeypatch):
     with pytest.raises(ParameterError, match="limit = 'safety' is no figure of the scene"):
         study.limit_state(planned(lambda m: 1.0), "safety", {"a": 1.0})([1.0])
@@ -119,6 +182,8 @@ def test_a_field_by_its_seed_and_of_bad_values():
         ({"modes": 10**5}, "at most the number of nodes"),
         ({"high": (0, 2)}, "must be above low"),
         ({"kernel": "square"}, "kernel"),
+        ({"lengths": (1.0, 2.0, 3.0)}, "one number, or 2"),
+        ({"name": 1}, "name = 1 must be a str"),
     ):
         given = {"low": (0, 0), "high": (4, 2), "lengths": 2.0, **options, **wrong}
         with pytest.raises(ParameterError, match=message):

@@ -87,6 +87,7 @@ CASES = {
         differences.more_of_different_ranks,
         derivatives.derivatives,
         derivatives.derivatives_in_contact,
+        derivatives.sampling,
         tables.tables,
         tables.films,
         restart.restart_ghost,

@@ -1,0 +1,72 @@
+"""An example as a function of its parameters: a problem, its steps, and what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import check_function, check_kind, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.solve.problem import Problem
+
+__all__ = ["Run", "Scene"]
+
+Scene = Callable[[dict[str, float]], "Run"]
+
+
+@dataclass
+class Run:
+    """An example at given parameters, ready for its first step.
+
+    Attributes:
+        problem: The problem, or problems that take the steps.
+        steps: One function per step. A function sets the loads, and calls `problem.step`. Or an
+            iterator that takes a step each time it is asked for the next item.
+        measured: Name → function that returns a figure after a step: a number, or an array of the
+            same shape for all parameters, equal on all ranks.
+
+    One step of a bar:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> def scene(m):
+    ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
+    ...     V = mpm.Space(grid, "gimp")
+    ...     F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.0), points, V.increment, V.test)
+    ...     bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.01)
+    ...     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    ...     stress = lambda: points["stress"][:, 1, 1].mean()
+    ...     return mpm.study.Run(problem, [problem.step], {"stress": stress})
+    >>> round(float(scene({"E": 1e6}).measured["stress"]()), 1)
+    0.0
+    """
+
+    problem: Problem | Sequence[Problem]
+    steps: Iterable[Any]
+    measured: Mapping[str, Callable[[], npt.ArrayLike]]
+
+    def __post_init__(self) -> None:
+        for problem in self.problems:
+            check_kind("problem", problem, Problem, "give a problem of dolfinmpm")
+        if not isinstance(self.measured, Mapping) or not self.measured:
+            raise ParameterError(
+                f"measured = {shown(self.measured)} must be a dictionary of functions, such as "
+                '{"settlement": lambda: top.mean_displacement()[1]}'
+            )
+        for name, get in self.measured.items():
+            check_function(f"measured['{name}']", get, "without arguments")
+        if isinstance(self.steps, (list, tuple)):
+            for step in self.steps:
+                check_function("each of steps", step, "without arguments")
+            if not self.steps:
+                raise ParameterError("steps = [] has no step: derivatives are those of a run")
+
+    @property
+    def problems(self) -> list[Problem]:
+        """The problems, as a list."""
+        several = isinstance(self.problem, (list, tuple))
+        return list(self.problem) if several else [self.problem]  # type: ignore[list-item]
