@@ -27,8 +27,8 @@ WITHOUT_BARRIER = {
     "MaterialPoints.add_field", "MaterialPoints.migrate", "MaterialPoints.recount",
     "Mapping.add_fields", "Mapping.to_grid", "Mapping.to_points", "Stabilisation.measure",
     "Stabilisation.constraint_matrix", "Space.cell_size", "sweep", "convergence",
-    "factor_of_safety", "differentiate", "calibrate", "reliability", "monte_carlo", "LimitState.gradient",
-    "Reliability.check",
+    "factor_of_safety", "differentiate", "calibrate", "reliability", "monte_carlo",
+    "LimitState.gradient", "Reliability.check",
 }  # fmt: skip
 
 
