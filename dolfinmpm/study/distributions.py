@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +26,9 @@ def openturns() -> Any:
     Raises:
         MissingPackageError: It is not installed.
     """
+    flags = sys.getdlopenflags()
+    # its wheel has an HDF5 of its own, which must not take the symbols of the one of DOLFINx
+    sys.setdlopenflags(flags | getattr(os, "RTLD_DEEPBIND", 0))
     try:
         import openturns as library
     except ImportError:
@@ -32,6 +37,8 @@ def openturns() -> Any:
             "openturns, apt-get install python3-openturns, or conda install -c conda-forge "
             "openturns"
         ) from None
+    finally:
+        sys.setdlopenflags(flags)
     return library
 
 
