@@ -26,7 +26,10 @@ class _Large(StrainFunctions):
         return dF * old * dF.T
 
     def flux(self, stress: Expr, H: Expr, F: Expr) -> Expr:
-        return stress * ufl.inv(ufl.Identity(self.d) + H).T
+        dF = ufl.Identity(self.d) + H
+        # one division: UFL divides each component of an inverse, and of its derivative
+        cofactors = ufl.cofac(dF) if self.d > 1 else ufl.Identity(1)
+        return stress * cofactors * (1 / ufl.det(dF))
 
     def volume(self, H: Expr, F: Expr) -> Expr:
         return ufl.det(ufl.Identity(self.d) + H) * ufl.det(F)

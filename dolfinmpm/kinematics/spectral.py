@@ -129,7 +129,7 @@ def stress_kernel(d: int):
         tensor, Q, value = np.empty((d, d)), np.empty((d, d)), np.empty(3)
         N, W = np.empty((m, m)), np.empty((m, m))
         by_H, by_G = np.empty((dd, dd)), np.empty((m, dd))
-        ratio_of = np.empty(1)
+        ratio_of, row_of = np.empty(1), np.empty(m)
         variables = internal_n.shape[1]
         ending, sloping = state.shape[0] > 0, A.shape[0] > 0
         trial_of, second_of, flux_of, volume_of, tangent_of, slope_of, second_slope_of = programs
@@ -227,9 +227,12 @@ def stress_kernel(d: int):
             for a in range(d):
                 for k in range(m):
                     W[a, k] = 0.0
-                    for b in range(d):
-                        slope = 0.5 / kept[q, at_value + b] if logarithmic else 1.0
-                        W[a, k] += kept[q, at_C + 3 * a + b] * slope * N[b, k]
+            for b in range(d):
+                slope = 0.5 / kept[q, at_value + b] if logarithmic else 1.0
+                for a in range(d):
+                    C = kept[q, at_C + 3 * a + b] * slope
+                    for k in range(m):
+                        W[a, k] += C * N[b, k]
             for r in range(d, m):
                 a, b = first[r - d], second[r - d]
                 gap = kept[q, at_given + a] - kept[q, at_given + b]
@@ -259,13 +262,18 @@ def stress_kernel(d: int):
                         kept[q, i + a] * kept[q, j + b] + kept[q, j + a] * kept[q, i + b]
                     )
                     W[r, k] = 2.0 * secant * N[r, k]
+            # an off-diagonal component is at two places of the tensor
+            for r in range(m):
+                for j in range(d, m):
+                    W[r, j] *= 2.0
             for k in range(m):
                 for j in range(m):
-                    total = 0.0
-                    for r in range(m):
-                        total += N[r, k] * W[r, j]
-                    # an off-diagonal component is at two places of the tensor
-                    z[at_law + k * m + j] = total if j < d else 2.0 * total
+                    row_of[j] = 0.0
+                for r in range(m):
+                    for j in range(m):
+                        row_of[j] += N[r, k] * W[r, j]
+                for j in range(m):
+                    z[at_law + k * m + j] = row_of[j]
             if staged:
                 by_H[:] = 0.0
                 by_G[:] = 0.0
