@@ -5,6 +5,7 @@ from __future__ import annotations
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinmpm.forms.inverse import cofactors, inverse
 from dolfinmpm.kinematics.strainformulation import StrainFormulation
 from dolfinmpm.kinematics.strainfunctions import StrainFunctions
 
@@ -15,7 +16,7 @@ class _Jaumann(StrainFunctions):
     logarithmic = False
 
     def rate(self, H: Expr) -> Expr:
-        return H * ufl.inv(ufl.Identity(self.d) + 0.5 * H)
+        return H * inverse(ufl.Identity(self.d) + 0.5 * H)
 
     def trial(self, G: Expr, old: Expr) -> Expr:
         W = ufl.skew(G)
@@ -25,7 +26,7 @@ class _Jaumann(StrainFunctions):
 
     def flux(self, stress: Expr, H: Expr, F: Expr) -> Expr:
         dF = ufl.Identity(self.d) + H
-        return ufl.det(dF) * ufl.det(F) * stress * ufl.inv(dF).T
+        return ufl.det(F) * stress * cofactors(dF)
 
     def positive(self, H: Expr) -> list[Expr]:
         one = ufl.Identity(self.d)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinmpm.forms.inverse import inverse
 from dolfinmpm.kinematics.strainformulation import StrainFormulation
 from dolfinmpm.kinematics.strainfunctions import StrainFunctions
 
@@ -26,10 +27,7 @@ class _Large(StrainFunctions):
         return dF * old * dF.T
 
     def flux(self, stress: Expr, H: Expr, F: Expr) -> Expr:
-        dF = ufl.Identity(self.d) + H
-        # one division: UFL divides each component of an inverse, and of its derivative
-        cofactors = ufl.cofac(dF) if self.d > 1 else ufl.Identity(1)
-        return stress * cofactors * (1 / ufl.det(dF))
+        return stress * inverse(ufl.Identity(self.d) + H).T
 
     def volume(self, H: Expr, F: Expr) -> Expr:
         return ufl.det(ufl.Identity(self.d) + H) * ufl.det(F)

@@ -9,6 +9,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.inverse import inverse
 
 __all__ = ["Kinematics", "kinematics"]
 
@@ -78,4 +79,4 @@ def kinematics(
         growth += ufl.det(slope)
     elif points.strain_dim == 3:
         growth += 0.5 * (growth**2 - ufl.tr(slope * slope)) + ufl.det(slope)
-    return Kinematics(points, (1 + growth) * before, growth * before, ufl.inv(dF))
+    return Kinematics(points, (1 + growth) * before, growth * before, inverse(dF))
