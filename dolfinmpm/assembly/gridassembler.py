@@ -23,6 +23,7 @@ from dolfinmpm._platform.compat import (
 )
 from dolfinmpm.assembly.facetpenalties import INTERVALS, MeshPairs, by_ratio
 from dolfinmpm.assembly.facettensors import facet_moduli
+from dolfinmpm.assembly.leafcellblock import LeafCellBlock
 from dolfinmpm.assembly.leaffacetblock import LeafFacetBlock, check_on_leaves
 from dolfinmpm.assembly.splinefacets import FacetBlock, uses_facet_classes
 from dolfinmpm.basis import LatticeBasis, LeafBasis
@@ -186,7 +187,16 @@ class _CompiledForm:
         return values
 
 
-_Bilinear = _CompiledForm | FacetBlock | LeafFacetBlock
+_OnLeaves = LeafFacetBlock | LeafCellBlock
+_Bilinear = _CompiledForm | FacetBlock | LeafFacetBlock | LeafCellBlock
+
+
+def _on_leaves(form: ufl.Form, space: Space) -> list[_OnLeaves]:
+    """Blocks of a bilinear form on a refined space: over facets, and over cells."""
+    cells = [i for i in form.integrals() if i.integral_type() == "cell"]
+    others = [i for i in form.integrals() if i.integral_type() != "cell"]
+    blocks: list[_OnLeaves] = [LeafFacetBlock(ufl.Form(others), space)] if others else []
+    return [*blocks, *([LeafCellBlock(ufl.Form(cells), space)] if cells else [])]
 
 
 class GridAssembler:
@@ -207,7 +217,8 @@ class GridAssembler:
         self._external = self._linear_forms(terms.external)
         # terms that are linear in the increments act only by their Jacobian
         self._internal = {} if terms.linear else self._linear_forms(terms.internal)
-        self._jacobian: dict[tuple[int, int], _Bilinear] | None = None
+        # blocks by row field, column field and number
+        self._jacobian: dict[tuple[int, int, int], _Bilinear] | None = None
         self._attached: Sequence[Entities] | None = None
         self.moving = set().union(*(b.moving for b in self._vectors))
         if terms.linear:
@@ -241,7 +252,7 @@ class GridAssembler:
     def splines(self) -> set[tuple[int, int]]:
         """Pairs (row field, column field) whose tangent is a `FacetBlock` between splines."""
         blocks = self._blocks()
-        return {pair for pair, block in blocks.items() if isinstance(block, FacetBlock)}
+        return {(i, j) for (i, j, _), block in blocks.items() if isinstance(block, FacetBlock)}
 
     @property
     def facet_blocks(self) -> list[FacetBlock | LeafFacetBlock]:
@@ -249,7 +260,7 @@ class GridAssembler:
         kinds = FacetBlock, LeafFacetBlock
         return [b for b in (self._jacobian or {}).values() if isinstance(b, kinds)]
 
-    def _blocks(self) -> dict[tuple[int, int], _Bilinear]:
+    def _blocks(self) -> dict[tuple[int, int, int], _Bilinear]:
         if self._jacobian is None:
             self._jacobian = {}
             for i, row in enumerate(self.terms.jacobian):
@@ -257,16 +268,17 @@ class GridAssembler:
                     if form is None:
                         continue
                     if i == j and self._spaces[i].refinement is not None:
-                        self._jacobian[i, j] = LeafFacetBlock(form, self._spaces[i])
+                        for k, block in enumerate(_on_leaves(form, self._spaces[i])):
+                            self._jacobian[i, j, k] = block
                         continue
                     if i == j and uses_facet_classes(form, self._spaces[i]):
-                        self._jacobian[i, j] = FacetBlock(form, self._spaces[i])
+                        self._jacobian[i, j, 0] = FacetBlock(form, self._spaces[i])
                         continue
                     spaces = [self._spaces[i], self._spaces[j]]
                     for space in spaces:
                         if space.refinement is not None:
                             check_on_leaves(form, space)
-                    self._jacobian[i, j] = _CompiledForm(form, spaces)
+                    self._jacobian[i, j, 0] = _CompiledForm(form, spaces)
         return self._jacobian
 
     def attach(self, fields: Sequence[ActiveField]) -> None:
@@ -314,13 +326,13 @@ class GridAssembler:
         """
         made = []
         entities = self._attached or []
-        for (i, j), block in self._blocks().items():
+        for (i, j, _), block in self._blocks().items():
             if isinstance(block, FacetBlock):
                 basis = fields[i].basis
                 assert isinstance(basis, LatticeBasis)
                 block.attach(entities[i], basis)
                 T = [fields[i].C, fields[j].C]
-            elif isinstance(block, LeafFacetBlock):
+            elif isinstance(block, _OnLeaves):
                 leaves = fields[i].basis
                 assert isinstance(leaves, LeafBasis)
                 block.attach(entities[i], leaves)

@@ -263,14 +263,21 @@ class LeafFacetBlock:
             start = end
 
 
+def only_over(form: ufl.Form, kind: str, number: int) -> bool:
+    """Whether all integrals of a form are of one kind, over the subdomain with one id."""
+    return all(
+        integral.integral_type() == kind and integral.subdomain_id() in (number, (number,))
+        for integral in form.integrals()
+    )
+
+
 def check_on_leaves(form: ufl.Form, space: Space) -> None:
     """Raise UnsupportedGridError unless a form is over ghost facets alone, and constant on each."""
-    ids = [integral.subdomain_id() for integral in form.integrals()]
-    flat = {i for given in ids for i in (given if isinstance(given, tuple) else (given,))}
     kinds = {integral.integral_type() for integral in form.integrals()}
-    if kinds != {"interior_facet"} or flat != {GHOST_FACETS} or not readable(form, space.cell_size):
+    if not (only_over(form, "interior_facet", GHOST_FACETS) and readable(form, space.cell_size)):
         raise UnsupportedGridError(
             f"integrals over {', '.join(sorted(kinds))} of the grid do not know the leaves of a "
             "refined space: use sums over points (points.dx, points.dX), surfaces and boundaries, "
-            "or mpm.ghost for penalties over facets; or leave refine out"
+            "mpm.ghost for penalties over facets, or a form that is linear in the increment over "
+            "active cells (points.dC); or leave refine out"
         )

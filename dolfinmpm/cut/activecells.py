@@ -181,7 +181,8 @@ def entities(
         return found
     cells = active_cells(seen, basis.cells)
     if isinstance(basis, LeafBasis):
-        return {GHOST_FACETS: ghost_facets_of_leaves(cells, basis)}
+        own = np.flatnonzero(cells[: basis.cells.owned]).astype(np.int32)
+        return {GHOST_FACETS: ghost_facets_of_leaves(cells, basis), ACTIVE_CELLS: own}
     tables = ghost_facets(grid) if GHOST_FACETS in moving else None
     if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
         found[GHOST_FACETS] = tables.select_coarse(cells, basis)

@@ -186,14 +186,20 @@ def test_refinement_needs_a_field_of_one_number():
         mpm.where_it_yields(points, 0.1, field=1)
 
 
-def test_integrals_over_the_grid_are_refused():
+@pytest.mark.parametrize("how", ["linear form over cells", "facets of the grid", "coefficient"])
+def test_integrals_over_the_grid_are_refused(how):
     grid = lattice(2)
     V = mpm.Space(grid, "gimp", refine=lambda x: np.full(x.shape[1], 0.5), levels=1)
     points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0, refine=V)
     u, v = V.increment, V.test
     F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
-    F += mpm.soft(points, u, v, E=1e6, nu=0.3, eta=1e-3)
-    with pytest.raises(mpm.errors.UnsupportedGridError, match="do not know the leaves"):
+    if how == "linear form over cells":
+        F -= v[1] * points.dC
+    elif how == "facets of the grid":
+        F += ufl.inner(u("+"), v("+")) * ufl.dS(grid)
+    else:
+        F += fem.Function(fem.functionspace(grid, ("DG", 0))) * ufl.inner(u, v) * points.dC
+    with pytest.raises(mpm.errors.UnsupportedGridError, match=r"leaves|coefficients"):
         mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom")).step()
 
 

@@ -50,6 +50,7 @@ CASES = {
         stabilisations.stabilisations_triangles,
         stabilisations.stabilisations_bspline2,
         stabilisations.facets_of_few_ranks,
+        stabilisations.soft_leaves,
         stabilisations.lattice_multigrid,
         stabilisations.adaptive_penalties,
         plasticity.large_strain,

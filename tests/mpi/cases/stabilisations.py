@@ -56,6 +56,21 @@ def stabilisations_bspline2():
     return _stabilisations("bspline2")
 
 
+def soft_leaves():
+    """Soft stiffness of leaves, whose owners are on several ranks, with hanging nodes."""
+    grid = mpm.create_lattice(COMM, [np.arange(10.0), np.arange(10.0)])
+    V = mpm.Space(grid, "gimp", refine=lambda x: np.where(x[0] < 3.5, 0.5, 1.0), levels=1)
+    points = mpm.fill(grid, mpm.Box((1.3, 0), (6.2, 5.15)), 2, 1.0, refine=V)
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = hencky(points, V, ghost=False, E=100.0) - ufl.inner(g, V.test) * points.dX
+    stabilisation = mpm.Stabilisation("soft", E=100.0, nu=0.3)
+    bcs = mpm.fixed(V, "bottom")
+    _, result = run(points, V, F, bcs, [(0.1, -0.5)], g, stabilisation=stabilisation)
+    result.pop("moved")
+    result.pop("iterations")
+    return result
+
+
 def lattice_multigrid():
     """A leaning body by multigrid of the lattice, whose levels span ranks."""
     figures = {}
