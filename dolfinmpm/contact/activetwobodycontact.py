@@ -55,7 +55,7 @@ class ActiveTwoBodyContact(ActiveContact):
         no_bound = contact.law.penetration is None
         self.start = start = ContactStart(
             pairs.gap, pairs.shares[:, None] * markers[names.tangential_force][rows],
-            normal_force, contact.stiffness * pairs.areas,
+            normal_force, pairs.stiffness * pairs.areas,
             np.zeros(m) if no_bound else normal_force, np.zeros(m),
         )  # fmt: skip
         if means is not None and no_bound:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy.typing as npt
 import scipy
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
-from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis import LatticeBasis, LeafBasis
+from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.contact.contactstencils import ContactStencils, stencil_matrix
 from dolfinmpm.contact.protocols import TwoBodyContactTerm
 from dolfinmpm.cut.activation import ActiveDomain, ActiveField
@@ -42,10 +44,12 @@ class Side:
     Attributes:
         field: Number of the body's field.
         stencils: Stencils of the points in the basis of the field.
+        finer: Size of the grid's cells over that of the leaf of each point, shape (n,).
     """
 
     field: int
     stencils: ContactStencils
+    finer: Array
 
 
 class ContactPairs:
@@ -64,6 +68,7 @@ class ContactPairs:
         normal: Normals out of the second body, shape (m, d).
         areas: Areas (m^(d-1)), shape (m,).
         sides: Contact points on the first and on the second body.
+        stiffness: κ of each pair (Pa/m), shape (m,).
         reach: Largest gap of a pair (m).
 
     Raises:
@@ -90,7 +95,8 @@ class ContactPairs:
         at: Array = x[rows]
         self.shares: Array = np.ones(rows.size)
         if contact.boundaries[0].tiles:
-            part, at, self.shares = _parts_in_cells(at, area[rows], lattice)
+            lines = _finest_lines([here.fields[k] for k in fields], lattice)
+            part, at, self.shares = _parts_in_cells(at, area[rows], lines)
         self.rows = rows = rows[part]
         self.gap, self.normal = gap[rows], normal[rows]
         self.areas = self.shares * np.linalg.norm(area[rows], axis=1)
@@ -100,6 +106,9 @@ class ContactPairs:
             _side(fields[0], here.fields[fields[0]], at, x[rows]),
             _side(fields[1], here.fields[fields[1]], opposite, X[piece[rows]]),
         )
+        self.stiffness = np.full(rows.size, contact.stiffness)
+        if contact.law.stiffness is None:
+            self.stiffness *= np.maximum(*(side.finer for side in self.sides))
 
     def _facing_pieces(self, x: Array, area: Array, X: Array, A: Array):
         """The piece that each marker faces, -1 for none, the gap (m) and the normal.
@@ -175,9 +184,29 @@ def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
         x: Positions of the points (m), shape (n, d).
         beside: Positions of the markers beside the points (m), shape (n, d).
     """
-    basis = field.basis
-    assert isinstance(basis, LatticeBasis)
-    active, table = field.cells, basis.halo.cell_table
+    basis, finer = field.basis, np.ones(len(x))
+    if isinstance(basis, LeafBasis):
+        cells = basis.cells_at(x)
+        known = (cells >= 0) & field.cells[cells]
+        cells[~known] = basis.cells_at(beside)[~known]
+        s = basis.in_cells(x, cells)
+        low, high = basis.cell_corners()
+        finer = smallest_height(basis.grid) / (high - low)[cells].min(axis=1)
+    else:
+        assert isinstance(basis, LatticeBasis)
+        s = _lattice_stencils(basis, field.cells, x, beside)
+    N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
+    if field.C is not None:
+        N = scipy.sparse.csr_matrix(N @ field.C)
+    N.eliminate_zeros()
+    return Side(number, ContactStencils.of(N, N.shape[1]), finer)
+
+
+def _lattice_stencils(
+    basis: LatticeBasis, active: npt.NDArray[np.bool_], x: Array, beside: Array
+) -> Stencils:
+    """Stencils of points on the boundary of a body, see `_side`."""
+    table = basis.halo.cell_table
     low = basis.lattice.cells_at(x) - basis.halo.origin
     inside = np.all((low >= 0) & (low < table.shape), axis=1)
     at = np.where(inside, table[tuple(np.where(inside[:, None], low, 0).T)], -1)
@@ -187,21 +216,27 @@ def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
                           np.ones(low.shape, np.int32))  # fmt: skip
     # overlap of ranks is as wide as a cell and its neighbours
     assert s is not None
-    N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
-    if field.C is not None:
-        N = scipy.sparse.csr_matrix(N @ field.C)
-    N.eliminate_zeros()
-    return Side(number, ContactStencils.of(N, N.shape[1]))
+    return s
+
+
+def _finest_lines(fields: Sequence[ActiveField], lattice: Lattice) -> list[Array]:
+    """Lines of the smallest leaves that two fields can have (m), per direction."""
+    depths = [f.space.refinement.depth for f in fields if f.space.refinement is not None]
+    halvings = 2 ** max(depths, default=0)
+    return [
+        np.interp(np.arange(halvings * (line.size - 1) + 1) / halvings, np.arange(line.size), line)
+        for line in lattice.lines
+    ]
 
 
 def _parts_in_cells(
-    x: Array, area: Array, lattice: Lattice
+    x: Array, area: Array, lines: Sequence[Array]
 ) -> tuple[npt.NDArray[np.intp], Array, Array]:
     """Parts of the markers' segments per cell. The basis functions are smooth on each part.
 
     Args:
         x, area: Middles (m) and area vectors (m) of segments in the plane, shape (n, 2).
-        lattice: The grid.
+        lines: Lines between the cells in each direction (m).
 
     Returns:
         Segment of each part, shape (m,), middle of the part (m), shape (m, 2), and its share of
@@ -211,7 +246,10 @@ def _parts_in_cells(
     if not len(x):
         return segment, middles, shares
     along = np.column_stack([-area[:, 1], area[:, 0]])
-    ends = [lattice.cells_at(x + side * along) for side in (-0.5, 0.5)]
+    ends = [
+        np.column_stack([np.searchsorted(line, e[:, d], "right") for d, line in enumerate(lines)])
+        for e in (x - 0.5 * along, x + 0.5 * along)
+    ]
     cut = np.flatnonzero(np.any(ends[0] != ends[1], axis=1))
     if not cut.size:
         return segment, middles, shares
@@ -221,7 +259,9 @@ def _parts_in_cells(
         first = x[p] - 0.5 * along[p]
         t = [np.array([0.0, 1.0])]
         t += [
-            (line - first[d]) / along[p, d] for d, line in enumerate(lattice.lines) if along[p, d]
+            (line[min(a, b) : max(a, b)] - first[d]) / along[p, d]
+            for d, (line, a, b) in enumerate(zip(lines, ends[0][p], ends[1][p]))
+            if along[p, d]
         ]
         places = np.unique(np.clip(np.concatenate(t), 0.0, 1.0))
         lengths = np.diff(places)

@@ -13,7 +13,7 @@ import ufl
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import shown
-from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.term import Term, as_form
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
@@ -219,14 +219,15 @@ def contact_between(
         v: Test functions of the two fields, `Space.test`, in the same order.
         friction: Coefficient μ of Coulomb's friction.
         penalty: κ in units of E/h: E is the harmonic mean of the bodies' Young's moduli, h the
-            smallest height of a cell. `mpm.stiffness_per_area` returns κ.
+            smallest height of a cell. `mpm.stiffness_per_area` returns κ. Where leaves are smaller
+            than the cells of the grid, κ grows with the ratio of their heights.
         stiffness_per_area: κ itself (Pa/m), instead of `penalty`.
         slip_stiffness: Tangential stiffness during stick, as a share of κ.
         penetration: Largest penetration (m), or None for the penalty alone.
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
-        UnsupportedGridError: The grid is not rectangular, or a space is refined.
+        UnsupportedGridError: The grid is not rectangular.
 
     Two blocks, one on the other:
 
@@ -270,11 +271,6 @@ def contact_between(
     for one, test in zip(_pair("u", u), _pair("v", v)):
         check_displacement(points, u=one, v=test)
     spaces: list[Any] = [getattr(one, "_dolfinmpm_space", None) for one in u]
-    if any(space is not None and space.refinement is not None for space in spaces):
-        raise UnsupportedGridError(
-            "contact_between is not available on refined spaces: leave refine out of the spaces of "
-            "bodies that touch, or let a mpm.RigidBody touch them"
-        )
     tags = [getattr(space, "tags", None) for space in spaces]
     own = [set(one or ()) for one in tags]
     if u[0] is u[1] or not all(own) or own[0] & own[1]:
