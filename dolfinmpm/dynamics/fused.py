@@ -292,13 +292,13 @@ class FusedSteps:
         points = self._points
         found = None
         if bad >= 0:
-            x, J = points["x"][bad], np.linalg.det(points["F"][bad])
+            found = (
+                f"point {points['id'][bad]} at {points['x'][bad]} m has no stress, no volume or "
+                f"has left the grid (det F = {np.linalg.det(points['F'][bad]):.4g})"
+            )
             lines = self._basis.lattice.lines
-            inside = all(line[0] <= c <= line[-1] for c, line in zip(x, lines))
-            what = f"has no stress or no volume (det F = {J:.4g})"
-            if not inside:
-                what = "has left the grid: enlarge the grid, at a wall by a row of cells beyond it"
-            found = f"point {points['id'][bad]} at {x} m {what}"
+            if not all(line[0] <= c <= line[-1] for c, line in zip(points["x"][bad], lines)):
+                found += "; it is outside: enlarge the grid, at a wall by a row of cells beyond it"
         if points.comm.size == 1:
             return found
         all_found = [text for text in points.comm.allgather(found) if text is not None]
