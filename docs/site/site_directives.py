@@ -63,6 +63,8 @@ def read_plainly(
     app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
 ) -> None:
     """Docstrings are plain text: bars are absolute values, code is indented after a colon."""
+    # Sphinx removes flags of doctest from the page, and codeautolink would not find the block there
+    lines[:] = [re.sub(r" *# doctest: .*", "", line) for line in lines]
     lines[:] = [re.sub(r"(?<!\\)\|", r"\\|", line) for line in lines]
     for i, line in enumerate(lines[:-2]):
         after = lines[i + 2]

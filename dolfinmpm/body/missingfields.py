@@ -37,6 +37,8 @@ def no_field(name: Any, known: Iterable[str]) -> str:
     """
     listed = list(known)
     text = f"material points have no field {shown(name)}; they have {', '.join(listed)}"
+    if name == "displacement":
+        return f"{text}. The displacement is points['x'] - points['x0']"
     if name in _MAKERS:
         return f"{text}. {_MAKERS[name]}; or add it before that with points.add_field"
     near = difflib.get_close_matches(name, listed, 1) if isinstance(name, str) else []

@@ -9,6 +9,9 @@ quantities are in the frame of the body. So a motion of the body itself is no sl
 This is the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
 Mechanics, 2006, ch. 10; AMPSSIE uses it in the material point method). The derivative of f by ξ is
 exact and contains the derivative of the normal. It is not symmetric where a point slips.
+
+Friction also acts at walls (`dolfinmpm.kinematics.walls`), at sides of the grid
+(`dolfinmpm.dynamics.faces`), and between bodies at the nodes (`dolfinmpm.dynamics.collision`).
 """
 
 from __future__ import annotations

@@ -193,8 +193,9 @@ class ExplicitCall:
             f"explicit step at t = {at:.6g} s: {reason}. The step is {dt:.3g} s, the "
             f"critical one {longest:.3g} s; the fastest point is {fastest}; energies (J): kinetic "
             f"{energies.kinetic:.4g}, strain {energies.strain:.4g}, external work "
-            f"{energies.external:.4g}. The state is that at t = {problem.time:.6g} s: take a "
-            "smaller courant number, a mapping that damps, or aggregation where cuts are small"
+            f"{energies.external:.4g}. The state is that at t = {problem.time:.6g} s. Against "
+            "instability take a smaller courant number, a mapping that damps, or aggregation where "
+            "cuts are small"
         )
 
     def _go_back(self) -> None:

@@ -1,4 +1,4 @@
-"""Frictional and absorbing faces of the grid, in steps in time."""
+"""Frictional and absorbing sides of the grid, in steps in time."""
 
 from __future__ import annotations
 

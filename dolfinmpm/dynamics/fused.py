@@ -296,6 +296,9 @@ class FusedSteps:
                 f"point {points['id'][bad]} at {points['x'][bad]} m has no stress, no volume or "
                 f"has left the grid (det F = {np.linalg.det(points['F'][bad]):.4g})"
             )
+            lines = self._basis.lattice.lines
+            if not all(line[0] <= c <= line[-1] for c, line in zip(points["x"][bad], lines)):
+                found += "; it is outside: enlarge the grid, at a wall by a row of cells beyond it"
         if points.comm.size == 1:
             return found
         all_found = [text for text in points.comm.allgather(found) if text is not None]

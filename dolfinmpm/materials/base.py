@@ -46,7 +46,8 @@ class Law(Parametrised):
 
     - `parameters`: name → Parameter, in the order of the kernel;
     - `internal`: name → (unit, first value); the first value is a number or the name of a
-      parameter;
+      parameter. Each variable is a field of the points with this name. So ParaView files, pictures
+      and checkpoints have it. A variable that the kernel only writes is an output of the law;
     - `kernel`: the kernel, see `law_kernel`;
     - `admissible`: a method, if parameters bound each other;
     - `symmetric`: True if the tangent, stress by trial strain, is symmetric. Elastic laws and

@@ -102,7 +102,7 @@ def permeability_of(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
                 f"{(d, d)}"
             )
         return given
-    if np.ndim(given) == 0:
+    if np.ndim(given) == 0 and not isinstance(given, str):
         return own_constant(points.grid, number("permeability", given, 0.0, math.inf, "m/s", True))
     tensor = _tensor(given)
     if not np.isfinite(tensor).all():

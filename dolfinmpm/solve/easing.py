@@ -14,16 +14,16 @@ from typing import Any
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["FIRST", "ease", "jumps"]
+__all__ = ["FIRST", "begins_unbalanced", "ease"]
 
 # Share of the first substep
 FIRST = 0.125
 # Relative force out of balance at the start of the smallest substep, by its share of the load, that
 # is not the load's own
-_JUMP = 4.0
+_UNBALANCED = 4.0
 
 
-def jumps(problem: Any, residuals: Sequence[float]) -> bool:
+def begins_unbalanced(problem: Any, residuals: Sequence[float]) -> bool:
     """Whether the state is out of balance at the start of the smallest substep, which failed.
 
     Args:
@@ -33,7 +33,7 @@ def jumps(problem: Any, residuals: Sequence[float]) -> bool:
     if problem.scheme.inertia or not isinstance(problem.solver, Newton):
         return False
     least = 0.5**problem.max_halvings
-    return least < FIRST and bool(residuals) and residuals[0] > _JUMP * least
+    return least < FIRST and bool(residuals) and residuals[0] > _UNBALANCED * least
 
 
 def ease(operator: Operator, share: float) -> None:

@@ -46,7 +46,7 @@ def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: fl
     """
     return (
         f"step {len(problem.history) + 1} failed at {done + share:.4g} of its load "
-        f"({problem.loads.describe()}) with parts of {share:.3g}: SNES says "
+        f"({problem.loads.describe()}) with substeps of {share:.3g}: SNES says "
         f"{failed.reason}, the relative out-of-balance force is {problem.last_residual} (tolerance "
         f"{problem.tolerance:g}); the worst is {failed.worst}. The state is that at "
         f"{done:.4g} of the step: {failed.advice or advice_on(problem)}"

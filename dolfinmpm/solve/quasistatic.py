@@ -24,7 +24,7 @@ from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
-from dolfinmpm.solve.easing import FIRST, ease, jumps
+from dolfinmpm.solve.easing import FIRST, begins_unbalanced, ease
 from dolfinmpm.solve.failures import failed_step, why_step_failed
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
@@ -53,8 +53,11 @@ class QuasiStatic(Problem):
     unknowns are numbered. PETSc's SNES finds the increment for which the form vanishes. Only then
     the state of the points changes.
 
-    A step that does not converge leaves the state unchanged, and is halved. If the smallest substep
-    fails too, substeps may release by shares what is out of balance, see `dolfinmpm.solve.easing`.
+    An attempt that does not converge changes nothing, and its substep is halved. If the smallest
+    substep fails too, substeps may release by shares what is out of balance, see
+    `dolfinmpm.solve.easing`. After a substep that converges the next one is twice as long, at most
+    a whole step. The next step begins with this length.
+
     The DOLFINx constants and functions in the form carry the load. In substeps they go from their
     values at the last converged step to the values set by the user. Prescribed increments are
     divided likewise.
@@ -69,7 +72,8 @@ class QuasiStatic(Problem):
             external forces and reactions. If the first out-of-balance force is larger, the
             share is of that force.
         max_iterations: Newton iterations before a step is halved.
-        max_halvings: Halvings before a step is given up.
+        max_halvings: The smallest substep is the share 2 ** -max_halvings of a step. If it fails,
+            the step is given up.
         updates: Name of a field of the points → UFL expression of state and increment. A converged
             step sets the field to the expression.
         stabilisation: Stabilisation against small cuts: a `Stabilisation`, or the name of a
@@ -226,7 +230,8 @@ class QuasiStatic(Problem):
             PointsOutsideGridError: Points would leave the grid. If they would leave the grid by
                 more than a cell, the step is halved first.
 
-        After an error the state, the load and the time are those of the last converged substep.
+        After an error the state, the load and the time are those of the last converged substep. A
+        step that failed has no record in `history`.
         """
         started, watch = time.perf_counter(), stages.Watch()
         check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
@@ -248,7 +253,7 @@ class QuasiStatic(Problem):
                     share = min(1.0, 2.0 * share)
                     continue
                 if share * (1 + 1e-9) < 2 * 0.5**self.max_halvings:
-                    if not eased and jumps(self, record.residuals):
+                    if not eased and begins_unbalanced(self, record.residuals):
                         eased, share = True, FIRST
                         continue
                     raise ConvergenceError(why_step_failed(self, failed, done, share))

@@ -361,7 +361,7 @@ def test_the_bare_number_of_a_chosen_time_is_enough():
 def test_a_point_that_leaves_the_grid_is_an_error():
     p = problem(averaged=False, body=mpm.Box((0.2, -0.3), (0.9, 0.5)))
     p.points["velocity"][:] = 60.0, 0.0
-    with pytest.raises(InstabilityError, match="left the grid"):
+    with pytest.raises(InstabilityError, match="it is outside: enlarge the grid"):
         p.step(1.0)
 
 

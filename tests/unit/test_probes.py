@@ -171,6 +171,7 @@ WRONG = {
     "complex": (lambda p: mpm.probe(p, (0, 1j)), "must be a position"),
     "far away": (lambda p: mpm.probe(p, (0.4, 1.4)), r"0\.676 m from the next material point"),
     "no field": (lambda p: mpm.probe(p, (0, 0))["heat"], "no field 'heat'; they have"),
+    "displacement": (lambda p: p["displacement"], r"is points\['x'\] - points\['x0'\]"),
     "no name": (lambda p: mpm.probe(p, (0, 0))[3], "no field 3"),
     "numbers": (lambda p: mpm.probe(p, (0, 0))["id"], "whole numbers"),
     "another record": (
