@@ -7,6 +7,7 @@ nodes join them afterwards. The size of the cells is that of the smaller leaf.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,8 +17,10 @@ import ufl
 from dolfinx import fem
 
 from dolfinmpm._platform.errors import UnsupportedGridError
+from dolfinmpm.assembly.facetpenalties import INTERVALS, Pair, by_ratio
 from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
 from dolfinmpm.assembly.latticefacets import gauss_rule, product
+from dolfinmpm.assembly.leafpairs import leaf_pair, linear_functions
 from dolfinmpm.basis import LeafBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS
@@ -74,22 +77,13 @@ class _LeafFacetTensors(FacetTensors):
                 points, weights = gauss_rule(gauss or 2)
                 x, w = low + 0.5 * (high - low) * (points + 1), 0.5 * (high - low) * weights
             A, B = (
-                _linear(place.boxes["+-".index(side)], d, x, powers[d])
+                linear_functions(place.boxes["+-".index(side)], d, x, powers[d])
                 for side, powers in ((side_a, a), (side_b, b))
             )
             lines.append((w[:, None] * A).T @ B)
         rows, columns = ("+-".index(side) * each for side in (side_a, side_b))
         part = product(lines)[:, :, None] * block
         total[rows : rows + each, columns : columns + each] += part
-
-
-def _linear(box: tuple[Array, Array], d: int, x: Array, order: int) -> Array:
-    """Derivatives of the two linear functions of a leaf in a direction, shape (x, 2)."""
-    low, high = box[0][d], box[1][d]
-    if order == 0:
-        return np.column_stack([(high - x) / (high - low), (x - low) / (high - low)])
-    slope = 1.0 / (high - low) if order == 1 else 0.0
-    return np.column_stack([np.full(x.size, -slope), np.full(x.size, slope)])
 
 
 @dataclass(frozen=True)
@@ -145,8 +139,7 @@ class LeafFacetBlock:
         moduli: Moduli of facets in the form.
 
     Raises:
-        UnsupportedGridError: The form is no form over ghost facets alone, varies along a facet, or
-            has an adaptive factor.
+        UnsupportedGridError: The form is no form over ghost facets alone, or varies along a facet.
     """
 
     # subdomain ids of the facets in the form
@@ -158,12 +151,9 @@ class LeafFacetBlock:
         self._tensor_of = _LeafFacetTensors(form, 1, space.components)
         self.constants: list[fem.Constant] = form.constants()
         self.moduli = facet_moduli(form)
-        if any(modulus.target is not None for modulus in self.moduli):
-            raise UnsupportedGridError(
-                'factor="adaptive" of a ghost penalty is not available on a refined space; give '
-                "a number, such as factor=1"
-            )
         self._tensors: dict[tuple[float, bytes], Array] = {}
+        # adaptive penalties by class, modulus and ratio of moduli, NaN where not known yet
+        self._penalties: dict[tuple[float, bytes], Array] = {}
         self._values: Array | None = None
         self._facets: _LeafFacets | None = None
         self._basis: LeafBasis | None = None
@@ -179,7 +169,7 @@ class LeafFacetBlock:
 
     def regrid(self) -> None:
         """Forget values that belong to the old lines of the grid."""
-        self._tensors, self._facets = {}, None
+        self._tensors, self._penalties, self._facets = {}, {}, None
 
     def attach(self, entities: dict[int, Ints], basis: LeafBasis) -> None:
         """Set the ghost facets of the integration.
@@ -213,7 +203,7 @@ class LeafFacetBlock:
         """This rank's share of the matrix, one block per entry of `rows` and `columns`."""
         values = np.concatenate([np.empty(0), *(np.ravel(c.value) for c in self.constants)])
         if self._values is None or not np.array_equal(values, self._values):
-            self._values, self._tensors = values, {}
+            self._values, self._tensors, self._penalties = values, {}, {}
         c, facets, tensors = self._space.components, self.facets, []
         for key, place in zip(facets.keys, facets.places):
             if key not in self._tensors:
@@ -221,7 +211,7 @@ class LeafFacetBlock:
             tensors.append(self._tensors[key])
         scale: Array = np.ones((facets.kind.size, 1 + len(self.moduli)))
         for k, modulus in enumerate(self.moduli):
-            modulus.values = modulus.moduli[:, 0].copy()
+            modulus.values = self._scaled(k)
             scale[:, 1 + k] = modulus.values
         pairs = max((t.shape[-1] for t in tensors), default=1)
         tensors = [t * np.eye(c).ravel() if t.shape[-1] < pairs else t for t in tensors]
@@ -237,22 +227,46 @@ class LeafFacetBlock:
             return sums[:, :, None] * np.eye(c)
         return sums.reshape(-1, c, c)
 
+    def _scaled(self, k: int) -> Array:
+        """Values of a modulus at the facets."""
+        modulus, facets = self.moduli[k], self.facets
+        M, G = modulus.moduli.T
+        if modulus.target is None:
+            return np.array(M)
+        for key in facets.keys:
+            none = np.full((len(self.moduli), INTERVALS + 1), np.nan)
+            self._penalties.setdefault(key, none)
+        known = np.array([self._penalties[key][k] for key in facets.keys])
+
+        def pair_of(key: tuple[float, bytes], place: _LeafFacet) -> Callable[[], Pair]:
+            return lambda: leaf_pair(place.boxes, place.direction, self._tensors[key][1 + k])
+
+        pairs = [pair_of(*both) for both in zip(facets.keys, facets.places)]
+        ratios = np.divide(G, M, out=np.zeros_like(M), where=M > 0)
+        known = known.reshape(-1, INTERVALS + 1)
+        values = M * by_ratio(known, ratios, facets.kind, pairs, modulus.target)
+        for key, row in zip(facets.keys, known):
+            self._penalties[key][k] = row
+        return np.asarray(values)
+
     def state(self) -> dict[str, npt.NDArray]:
         """The tensors kept: rounding differs between the facets that a class was integrated on."""
         if self._values is None or not self._tensors:
             return {}
         tensors = list(self._tensors.values())
+        none = np.full((len(self.moduli), INTERVALS + 1), np.nan)
         return {
             "constants": self._values,
             "scales": np.array([scale for scale, _ in self._tensors]),
             "codes": np.array([np.frombuffer(code, np.int64) for _, code in self._tensors]),
             "pairs": np.array([t.shape[-1] for t in tensors], np.int64),
             "tensors": np.concatenate([t.ravel() for t in tensors]),
+            "penalties": np.array([self._penalties.get(key, none) for key in self._tensors]),
         }
 
     def set_state(self, state: dict[str, npt.NDArray]) -> None:
         """Keep the tensors that `state` returned, and no others."""
-        self._values, self._tensors = state.get("constants"), {}
+        self._values, self._tensors, self._penalties = state.get("constants"), {}, {}
         m, start = 2 * 2**self._space.grid.geometry.dim, 0
         of_all = (state.get(name, ()) for name in ("scales", "codes", "pairs"))
         for scale, code, pairs in zip(*of_all):
@@ -261,6 +275,7 @@ class LeafFacetBlock:
             tensor = state["tensors"][start:end].reshape(shape).copy()
             self._tensors[float(scale), np.ascontiguousarray(code).tobytes()] = tensor
             start = end
+        self._penalties = dict(zip(self._tensors, map(np.copy, state.get("penalties", ()))))
 
 
 def only_over(form: ufl.Form, kind: str, number: int) -> bool:
