@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from mpi4py import MPI
 
@@ -25,6 +27,8 @@ ENERGIES = ("elastic_energy", "plastic_dissipation", "creep_dissipation")
 _FUNCTIONS = {"jaumann": Jaumann, "small": SmallStrain}
 # size of the strain increment of the trial before the first step (-)
 _TRIAL = 1e-6
+# points that are asked at a time for a tangent: their arrays fit into the cache
+_CHUNK = 4096
 # no values at the end of a step are asked for
 _NOTHING = np.empty((0, 3, 3)), np.empty((0, 6)), np.empty((3, 0)), np.empty((0, 0))
 
@@ -172,7 +176,7 @@ class Incremental(StrainFormulation):
     def _work(self, rows: Rows) -> Array:
         """Arrays of calls at the present state, without strain increments."""
         points, m = self.points, self._components
-        stress = points["stress"][rows][:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        stress = points.fields.read("stress")[rows].reshape(-1, 9)[:, [0, 4, 8, 1, 2, 5]]
         return self.umat.work(stress[:, :m], self.internal(rows), m)
 
     def energy(self) -> Array | None:
@@ -183,37 +187,51 @@ class Incremental(StrainFormulation):
             stored = stored * points["V"][rows] / points["V0"][rows]
         return stored if stored.any() or not points["stress"][rows].any() else None
 
-    def _tangents(self) -> Array:
-        """DDSDDE at the present state without a strain increment (Pa), shape (n, 6 or 4 squared).
+    def _of_tangents(self, size: int, measure: Callable[[Array], Array]) -> Array:
+        """A function of DDSDDE at the present state without a strain increment.
+
+        Args:
+            size: How many numbers the function has per point.
+            measure: Function of DDSDDE (Pa), shape (n, 6, 6) or (n, 4, 4), with results of the
+                shape (n, size).
 
         Raises:
             StateError: The UMAT finds no stress.
         """
-        m = self._components
-        work = self._work(self.rows)
-        status = self.umat.call(work, m)
-        D = work[:, DDSDDE : DDSDDE + m * m].reshape(-1, m, m)
-        bad = np.flatnonzero((status == 1) | ~np.isfinite(D).all(axis=(1, 2)))
-        if bad.size:
-            p = self.rows[bad[0]]
-            raise StateError(
-                f"{self.law!r} has no tangent at the stress {self.points['stress'][p].tolist()} Pa "
-                f"of point {self.points['id'][p]}: {FAILURES.get(int(status[bad[0]]), 'NaN')}. Set "
-                "an initial stress with mpm.set_stress, and first values of the state variables"
-            )
-        return D
+        m, every = self._components, self.rows
+        result = np.empty((len(every), size))
+        for first in range(0, len(every), _CHUNK):
+            rows = every[first : first + _CHUNK]
+            work = self._work(rows)
+            status = self.umat.call(work, m)
+            D = work[:, DDSDDE : DDSDDE + m * m].reshape(-1, m, m)
+            bad = np.flatnonzero((status == 1) | ~np.isfinite(D.sum(axis=(1, 2))))
+            if bad.size:
+                p = rows[bad[0]]
+                raise StateError(
+                    f"{self.law!r} has no tangent at the stress "
+                    f"{self.points['stress'][p].tolist()} Pa of point {self.points['id'][p]}: "
+                    f"{FAILURES.get(int(status[bad[0]]), 'NaN')}. Set an initial stress with "
+                    "mpm.set_stress, and first values of the state variables"
+                )
+            result[first : first + _CHUNK] = measure(D)
+        return result
 
     def stiffness(self) -> Array:
         """Largest stiffness along one axis at the law's points (Pa), for wave speeds."""
-        D = self._tangents()
-        return np.abs(np.diagonal(D, axis1=1, axis2=2)[:, :3]).max(axis=1, initial=0.0)
+        return self._of_tangents(
+            1, lambda D: np.abs(D[:, [0, 1, 2], [0, 1, 2]]).max(axis=1, keepdims=True)
+        )[:, 0]
 
     def moduli(self) -> Array:
         """P-wave modulus and shear modulus of DDSDDE at the law's points (Pa), shape (n, 2)."""
-        D = self._tangents()
-        along = np.einsum("pii->p", D[:, :3, :3]) / 3
-        across = np.diagonal(D, axis1=1, axis2=2)[:, 3:].mean(axis=1)
-        return np.stack([np.abs(along), np.abs(across)], axis=1)
+
+        def measure(D: Array) -> Array:
+            along = np.einsum("pii->p", D[:, :3, :3]) / 3
+            across = np.diagonal(D, axis1=1, axis2=2)[:, 3:].mean(axis=1)
+            return np.stack([np.abs(along), np.abs(across)], axis=1)
+
+        return self._of_tangents(2, measure)
 
     def describe(self, operand: Array, row: int) -> str:
         """Description of a point at which the UMAT found no stress, for messages.
