@@ -121,7 +121,7 @@ class GroundColumn:
         self.half, self.rates = mean[:, 0], mean[:, 1:]
         ends = np.array([(z + half).max(initial=-np.inf), -(z - half).min(initial=np.inf)])
         points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
-        volumes = np.bincount(self._row_of(points), volume, len(self._known))
+        volumes = np.bincount(self._row_of(points), volume, len(self._known)).astype(np.float64)
         points.comm.Allreduce(MPI.IN_PLACE, volumes, op=MPI.SUM)
         # heights that the rows stand for
         self.share = volumes * ends.sum() / volumes.sum()
@@ -137,7 +137,8 @@ class GroundColumn:
         """Means of values of points over the rows, shape (rows, columns). Collective."""
         row, n = self._row_of(points), len(self._known)
         columns = [np.ones(len(points)), *values.T]
-        sums = np.array([np.bincount(row, column, n) for column in columns])
+        # without points NumPy counts in integers
+        sums = np.array([np.bincount(row, column, n) for column in columns], np.float64)
         points.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
         return (sums[1:] / sums[0]).T
 
