@@ -83,7 +83,7 @@ class Marching:
     """Explicit steps of a block in the middle of a grid."""
 
     def __init__(self, law):
-        around = mpm.create_lattice(MPI.COMM_SELF, [range(-3, cells + 4)] * d)
+        around = mpm.create_lattice(MPI.COMM_SELF, [range(-10, cells + 11)] * d)
         block = mpm.fill(around, mpm.Box((0,) * d, (cells,) * d), 2, 1000.0)
         V = mpm.Space(around, "bspline2")
         F = mpm.momentum(law, block, V.increment, V.test, strain="jaumann")
