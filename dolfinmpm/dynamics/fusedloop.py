@@ -85,8 +85,7 @@ def kernel(
     not know. `record` tells whether what only others read is written: accelerations, volumes,
     stresses. Without `advance` points only scatter where they are, as `new` tells, and without
     `spread` they do not: the first pass of all and the last one need no loops of their own.
-    Growth of domains (0: points have none) and `means` of F-bar are told in
-    `dolfinmpm.dynamics.passes`. With `umat` the laws are UMATs.
+    Growth of domains and `means` of F-bar: see `dolfinmpm.dynamics.passes`. `umat`: laws are UMATs.
     """
     averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
     velocity, strain, move, same, new = parts

@@ -87,7 +87,7 @@ class GroundColumn:
             )
         start = float(problem.time)
         number("end", end, start, unit="s"), number("dt", dt, 0.0, unit="s")
-        self._comm, self.gdim = points.comm, points.gdim
+        self.gdim = points.gdim
         self._find_rows(problem)
         found, moments = [self._rows(points)], [start]
         for t in times(end, dt=dt, start=start):

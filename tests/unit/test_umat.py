@@ -215,6 +215,21 @@ def test_a_step_is_halved_where_pnewdt_asks_for_it(tmp_path):
                mpm.QuasiStatic)  # fmt: skip
 
 
+def test_an_explicit_step_that_the_umat_refuses_is_told_and_taken_back(tmp_path):
+    law = written(tmp_path, ELASTIC + "  if (time(2) > 0.02) pnewdt = 0.5d0")
+    V = mpm.Space(mpm.create_lattice(COMM, [range(-2, 6)] * 2), "gimp")
+    points = mpm.fill(V.grid, mpm.Box((0, 0), (3, 3)), 2, 1000.0)
+    F = mpm.momentum(law, points, V.increment, V.test, strain="jaumann")
+    problem = mpm.Explicit(F, V.increment, points)
+    points["velocity"] = np.sin(points["x"])[:, ::-1]
+    problem.step(0.015)
+    before = points["total_strain"].copy()
+    with pytest.raises(mpm.errors.InstabilityError, match="the UMAT asks for a shorter step"):
+        problem.step(0.2)
+    assert not problem.unfused and problem.time == 0.015
+    assert np.abs(before).max() > 1e-3 and np.array_equal(points["total_strain"], before)
+
+
 @pytest.mark.parametrize(
     ("trouble", "told"),
     [("stress(1) = sqrt(-dtime)", "not finite"), ("call xit", "XIT")],
