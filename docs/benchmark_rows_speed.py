@@ -60,6 +60,13 @@ def parts(*answers: Answer) -> list[float]:
     ]  # fmt: skip
 
 
+def umats(*answers: Answer) -> list[float]:
+    """Million points per second: UMAT alone, flux and tangent, explicit steps; built-in law."""
+    names = "umat, call", "umat, flux and tangent", "umat, explicit steps"
+    others = "built-in, flux and tangent", "built-in, explicit steps"
+    return [1e-6 * answer[name] for answer in answers for name in names + others]
+
+
 def room(*names: str) -> Callable[[Answer], list[float]]:
     """Reads the time of a step on the largest grid over the time on the smallest grid."""
     return lambda answer: [answer["growth"][name]["ratio"] for name in names]
@@ -126,6 +133,11 @@ ROWS = (
     Row("explicit-3d", SPEED, "the same in 3D, quadratic splines, 97 336 points: neo-Hookean, "
         "Mohr–Coulomb", each("explicit_speed", "--dimension 3 --laws neo-hookean,mohr-coulomb"),
         pace("bspline2"), "{:.1f}, {:.1f}"),
+    Row("umat", SPEED, "von Mises as a UMAT with Jaumann's rate, all points yield, million points "
+        "per second of processor time, in 2D and in 3D: the UMAT alone, flux and tangent, explicit "
+        "steps (quadratic splines); the built-in law: flux and tangent, explicit steps",
+        tuple(f"demos/studies/umat_speed.py --dimension {d}" for d in (2, 3)), umats,
+        "{:.1f}, {:.1f}, {:.1f}; {:.1f}, {:.1f} (2D); {:.1f}, {:.1f}, {:.1f}; {:.1f}, {:.1f} (3D)"),
     Row("explicit-ranks", SPEED, "the same with 399 424 points in 2D, neo-Hookean, Mohr–Coulomb: "
         "one rank; two ranks",
         tuple(f"{launch}demos/studies/explicit_speed.py --laws neo-hookean,mohr-coulomb "

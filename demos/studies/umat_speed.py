@@ -2,10 +2,11 @@
 # # UMATs: how many points per second
 #
 # Every point strains by a random increment, so that the von Mises law of demos/umat/mises.f yields
-# almost everywhere. Three figures count: calls of the subroutine alone, which computes stress and
-# DDSDDE; the flux with its tangent, as a Newton iteration needs it; and the flux alone. The
-# built-in law under Jaumann's rate is measured in turn with it. What counts is the time of this
-# process, and medians are told, since the machine may have other work.
+# almost everywhere. Four figures count: calls of the subroutine alone, which computes stress and
+# DDSDDE; the flux with its tangent, as a Newton iteration needs it; and the flux alone. Explicit
+# steps of a block that shears and turns count as a fourth. The built-in law under Jaumann's rate is
+# measured in turn with it. What counts is the time of this process, and medians are told, since the
+# machine may have other work.
 
 # %%
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import ufl
 from mpi4py import MPI
 from options import Options, natural, option
 from scene import finish, say
@@ -37,6 +39,7 @@ class Input(Options):
     dimension: int = option(2, choices=(2, 3))
     points: int = natural(40_000, "about so many")
     repeat: int = natural(7)
+    steps: int = natural(20, "explicit steps in each run that is timed")
 
 
 args = Input.parse()
@@ -71,10 +74,39 @@ def calls():
         umat.call(work.copy(), m)
 
 
+def swirl(x):
+    """Velocities that strain and turn everywhere (m/s)."""
+    return 20.0 * np.sin(6.0 * np.roll(x, 1, axis=1) / cells)
+
+
+class Marching:
+    """Explicit steps of a block in the middle of a grid."""
+
+    def __init__(self, law):
+        around = mpm.create_lattice(MPI.COMM_SELF, [range(-10, cells + 11)] * d)
+        block = mpm.fill(around, mpm.Box((0,) * d, (cells,) * d), 2, 1000.0)
+        V = mpm.Space(around, "bspline2")
+        F = mpm.momentum(law, block, V.increment, V.test, strain="jaumann")
+        F -= (
+            ufl.inner(block.density * ufl.as_vector((0.0,) * (d - 1) + (-10.0,)), V.test) * block.dX
+        )
+        block.add_field("velocity", (d,), "m/s")
+        block["velocity"] = swirl(block["x"])
+        self.problem = mpm.Explicit(F, V.increment, block, scheme="usl", courant=0.3)
+        self.longest, self.parts = 0.3 * self.problem.critical_step(), 0
+
+    def __call__(self):
+        """Take the steps of a run that is timed."""
+        span = (args.steps - 0.01) * self.longest
+        self.parts = self.problem.step(self.problem.time + span).parts
+
+
+marching = {name: Marching(law) for name, law in (("umat", umat), ("built-in", own))}
 cases = {"umat, call": calls}
 for name, formulation in formulations.items():
     cases[f"{name}, flux"] = lambda f=formulation: sweep(f, False)
     cases[f"{name}, flux and tangent"] = lambda f=formulation: sweep(f, True)
+    cases[f"{name}, explicit steps"] = marching[name]
 taken = {name: [] for name in cases}
 for k in range(args.repeat + 1):
     for name, case in cases.items():
@@ -83,6 +115,8 @@ for k in range(args.repeat + 1):
         if k:  # the first round compiles
             taken[name].append(time.process_time() - began)
 counts = dict.fromkeys(cases, n) | {"umat, call": max(1, n // CHUNK) * CHUNK}
+for name, run in marching.items():
+    counts[f"{name}, explicit steps"] = run.parts * len(run.problem.points)
 speeds = {name: counts[name] / statistics.median(t) for name, t in taken.items()}
 for name, speed in speeds.items():
     say(f"{name:28s} {speed / 1e6:6.2f} million points per second")

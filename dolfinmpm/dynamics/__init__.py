@@ -4,6 +4,8 @@ from dolfinmpm.dynamics.clock import times
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.explicit import Explicit
 from dolfinmpm.dynamics.faces import absorbing, frictional
+from dolfinmpm.dynamics.freefield import free_field
+from dolfinmpm.dynamics.groundcolumn import GroundColumn
 from dolfinmpm.dynamics.inputmotion import InputMotion
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.newmark import GeneralisedAlpha, Newmark
@@ -13,11 +15,13 @@ __all__ = [
     "Collision",
     "Explicit",
     "GeneralisedAlpha",
+    "GroundColumn",
     "InputMotion",
     "Mapping",
     "Newmark",
     "Transient",
     "absorbing",
+    "free_field",
     "frictional",
     "times",
 ]

@@ -33,7 +33,12 @@ from dolfinmpm.dynamics.collisionsteps import CollisionSteps, collision_error
 from dolfinmpm.dynamics.critical import critical_step, exact_step
 from dolfinmpm.dynamics.energybounds import EnergyBalance
 from dolfinmpm.dynamics.explicitcall import ExplicitCall
-from dolfinmpm.dynamics.faces import Sides, split_conditions
+from dolfinmpm.dynamics.faces import (
+    Sides,
+    ghost_mass_at,
+    refuse_constraints,
+    split_conditions,
+)
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
 from dolfinmpm.dynamics.fused import FusedSteps
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
@@ -179,6 +184,8 @@ class Explicit(MovingBody, Problem):
                 "their forces; take Newmark or Transient, or bulk_viscosity and damping"
             )
         check_masses(self.bodies)
+        refuse_constraints(faces, self.fields)
+        ghost_mass = ghost_mass_at(faces, u[0]._dolfinmpm_space, mass, ghost_mass)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.form.add(terms)
         self.form.start_in_time(None)

@@ -18,11 +18,11 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis.conditions import Condition, prescribed
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.essentialconditions import renumbered
-from dolfinmpm.dynamics.incomingwaves import IncomingWaves, checked_incoming
-from dolfinmpm.dynamics.sideareas import areas, radii
+from dolfinmpm.cut.activation import Field
+from dolfinmpm.dynamics.facesatnodes import Faces
+from dolfinmpm.dynamics.groundcolumn import GroundColumn
+from dolfinmpm.dynamics.incomingwaves import checked_incoming
 from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.sides import side_of
 
@@ -31,12 +31,19 @@ __all__ = [
     "Faces",
     "Sides",
     "absorbing",
+    "check_sides",
+    "face_at",
     "frictional",
+    "ghost_mass_at",
+    "refuse_constraints",
     "set_velocities",
     "split_conditions",
 ]
 
 Array = npt.NDArray[np.float64]
+# Ghost penalty of the mass at free-field sides, by degree. Level ground then moves as its column
+# does to 0.5 % (waves of 12 cells); the usual penalty makes 6 %.
+_GHOST_BESIDE = {1: 1e-3, 2: 1e-2, 3: 1e-1}
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,7 @@ class Face:
         impedance: Impedances of pressure and shear waves, ρ c (Pa s/m), or None.
         where: Name of the side in messages.
         incoming: Velocities by time of waves that come in (m/s), one per direction, or None.
+        column: Ground beside the side, or None.
     """
 
     space: Space
@@ -61,6 +69,7 @@ class Face:
     impedance: tuple[float, float] | None
     where: str
     incoming: tuple[Any, ...] | None = None
+    column: GroundColumn | None = None
 
     @property
     def kind(self) -> str:
@@ -108,9 +117,9 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     >>> bool(problem.momentum()[0] < before)
     True
     """
-    _check_sides(space, sides)
+    check_sides(space, sides)
     mu = friction_coefficient(friction)
-    return [_face(space, side, mu, None) for side in sides]
+    return [face_at(space, side, mu) for side in sides]
 
 
 @collective
@@ -157,7 +166,7 @@ def absorbing(
     >>> bool(points["velocity"][:, 1].mean() > -1.0)
     True
     """
-    _check_sides(space, sides)
+    check_sides(space, sides)
     require_lattice(space.grid, "absorbing")
     rho = number("density", density, 0.0)
     p = number("p_speed", p_speed, 0.0, closed=True)
@@ -175,10 +184,10 @@ def absorbing(
     d = space.grid.geometry.dim
     axes = [side_of(side, d)[1] for side in sides]
     waves = checked_incoming(incoming, (rho * p, rho * s), axes, d)
-    return [_face(space, side, None, (rho * p, rho * s), waves) for side in sides]
+    return [face_at(space, side, None, (rho * p, rho * s), waves) for side in sides]
 
 
-def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
+def check_sides(space: Any, sides: tuple[Any, ...]) -> None:
     """Raise ParameterError unless the space has a displacement, and each side is given once.
 
     Args:
@@ -200,10 +209,13 @@ def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
         raise ParameterError(f"the side {shown(again[0])} is given twice; it would act twice")
 
 
-def _face(space: Space, side: str, friction, impedance, incoming=None) -> Face:
+def face_at(
+    space: Space, side: str, friction=None, impedance=None, incoming=None, column=None
+) -> Face:
+    """A face at a side of the grid; see `Face`."""
     name, axis, end = side_of(side, space.grid.geometry.dim)
     (condition,) = prescribed(space, name, axis)
-    return Face(space, condition.nodes, axis, end, friction, impedance, name, incoming)
+    return Face(space, condition.nodes, axis, end, friction, impedance, name, incoming, column)
 
 
 def split_conditions(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
@@ -212,6 +224,33 @@ def split_conditions(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
         return bcs, []  # type: ignore[return-value]
     faces = [one for one in bcs if isinstance(one, Face)]
     return [one for one in bcs if not isinstance(one, Face)], faces
+
+
+def ghost_mass_at(
+    faces: Sequence[Face], space: Space, mass: str, ghost_mass: float | None
+) -> float | None:
+    """The argument `ghost_mass`, or its default where a face is beside a column of ground.
+
+    Nodes that constraints tie to others take no forces of faces. So a small ghost penalty takes the
+    place of constraints: it hardly acts on a motion that is the same along a level.
+    """
+    if mass != "consistent" or ghost_mass is not None or not _beside(faces):
+        return ghost_mass
+    return _GHOST_BESIDE[space.basis.degree]
+
+
+def refuse_constraints(faces: Sequence[Face], fields: Sequence[Field]) -> None:
+    """Raise ParameterError if constraints act between nodes and a face is beside a column."""
+    tied = any(field.constrains_nodes or field.prolongate is not None for field in fields)
+    if _beside(faces) and tied:
+        raise ParameterError(
+            "free-field sides push nodes, and constraints between nodes would drop the pushes: "
+            'leave out prolongation= and stabilisation="aggregation", and take "ghost"'
+        )
+
+
+def _beside(faces: Sequence[Face]) -> bool:
+    return any(face.column is not None for face in faces)
 
 
 def set_velocities(
@@ -227,86 +266,6 @@ def set_velocities(
         if condition.velocity is not None:
             assert isinstance(condition.value, fem.Constant)
             condition.value.value = value(condition.velocity)
-
-
-class Faces:
-    """Faces of the grid in the numbering of a basis. Collective.
-
-    Args:
-        faces: The faces.
-        basis: Basis, with the overlap for steps.
-        d: Dimension of space.
-        axisymmetric: Whether points and faces are axisymmetric.
-
-    Attributes:
-        dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
-        waves: Waves that come in.
-    """
-
-    def __init__(self, faces: Sequence[Face], basis: Any, d: int, axisymmetric: bool = False):
-        self._d = d
-        self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
-        self.dashpots: Array | None = None
-        self.waves = IncomingWaves(basis.nodes.size, d)
-        for face in faces:
-            base = face.space.basis
-            marks = np.zeros(base.nodes.size)
-            marks[face.nodes] = 1.0
-            nodes = np.flatnonzero(renumbered(marks, base, basis))
-            if face.friction is not None:
-                outward = 1.0 if face.end else -1.0
-                self._rubbing.append((nodes, face.axis, outward, face.friction))
-            if face.impedance is not None:
-                if self.dashpots is None:
-                    self.dashpots = np.zeros((basis.nodes.size, d))
-                area = areas(basis, nodes, face.axis)
-                if axisymmetric:
-                    area = ring(radii(basis, nodes, face.axis, face.end), area)
-                for k in range(d):
-                    rate = face.impedance[0 if k == face.axis else 1]
-                    self.dashpots[nodes, k] += rate * area
-                    if face.incoming is not None and face.incoming[k] is not None:
-                        self.waves.add(nodes, k, rate * area, face.incoming[k])
-
-    def by_nodes(
-        self, place: npt.NDArray[np.intp], size: int
-    ) -> tuple[npt.NDArray[np.uint64], Array, Array]:
-        """The faces for compiled loops over nodes in another order.
-
-        Args:
-            place: Position of each node in the other order, shape (nodes,); -1 if unknown.
-            size: Number of nodes in the other order.
-
-        Returns:
-            Frictional faces at each node, as bits, shape (size,), or (0,) without such faces.
-            Axis, outward sign and friction of each face, shape (faces, 3). Coefficients of the
-            dashpots (N s/m), shape (size, d), or (0, d) without dashpots.
-        """
-        marks = np.zeros(size if self._rubbing else 0, np.uint64)
-        rubbing = np.array([one[1:] for one in self._rubbing]).reshape(-1, 3)
-        for k, (nodes, *_) in enumerate(self._rubbing):
-            rows = place[nodes]
-            marks[rows[rows >= 0]] |= np.uint64(1 << k)
-        dashpots = np.zeros((0 if self.dashpots is None else size, self._d))
-        if self.dashpots is not None:
-            dashpots[place[place >= 0]] = self.dashpots[place >= 0]
-        return marks, rubbing, dashpots
-
-    def rub(self, V: Array) -> None:
-        """Stop nodes that would move out, and apply friction to sliding nodes.
-
-        Args:
-            V: Velocities at the end of a step (m/s), shape (nodes, at least d). Changed.
-        """
-        for rows, axis, outward, mu in self._rubbing:
-            out = outward * V[rows, axis]
-            rows, out = rows[out > 0], out[out > 0]
-            V[rows, axis] = 0.0
-            along = [k for k in range(V.shape[1]) if k != axis]
-            sliding = np.sqrt(sum(V[rows, k] ** 2 for k in along)) if along else out
-            left = np.maximum(0.0, 1.0 - mu * out / np.maximum(sliding, 1e-300))
-            for k in along:
-                V[rows, k] *= left
 
 
 def _refuse_held(face: Face, condition: Condition) -> None:
@@ -365,6 +324,9 @@ class Sides:
                 _refuse_held(face, condition)
             _refuse_stuck(face, conditions)
         self._faces, self._d, self._axisymmetric = list(faces), points.gdim, points.axisymmetric
+        self._box: Array = np.zeros((2, points.gdim))
+        if _beside(faces):
+            self._box = _ends(points)
         # a basis belongs to one partition of the lattice
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
 
@@ -374,16 +336,39 @@ class Sides:
     @property
     def incoming(self) -> bool:
         """Whether waves come in through a face."""
-        return any(face.incoming is not None for face in self._faces)
+        return any(face.incoming is not None for face in self._faces) or _beside(self._faces)
 
     def regrid(self) -> None:
         """Discard areas that depend on the old grid lines."""
         self._on.clear()
 
-    def on(self, basis: Any) -> Faces | None:
-        """The faces in a basis's numbering, or None without faces. The first call is collective."""
+    def on(self, basis: Any, t: float | None = None) -> Faces | None:
+        """The faces in a basis's numbering, or None without faces. The first call is collective.
+
+        Args:
+            basis: The basis.
+            t: Start of a step (s), or None within a step.
+        """
         if not self._faces:
             return None
         if basis not in self._on:
-            self._on[basis] = Faces(self._faces, basis, self._d, self._axisymmetric)
+            own = self._d, self._axisymmetric, self._box
+            self._on[basis] = Faces(self._faces, basis, *own)
+        if t is not None:
+            self._on[basis].follow(t)
         return self._on[basis]
+
+
+def _ends(points: MaterialPoints) -> Array:
+    """Ends of a body (m), shape (2, d). Collective.
+
+    Raises:
+        ParameterError: The points are axisymmetric.
+    """
+    if points.axisymmetric:
+        raise ParameterError("free-field sides are for plane strain and 3D, not axisymmetry")
+    x, half = points["x"], points["l"]
+    ends = np.array([-(x - half), x + half]).max(axis=1, initial=-np.inf)
+    points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+    ends[0] *= -1.0
+    return ends

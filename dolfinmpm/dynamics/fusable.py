@@ -15,6 +15,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MOTION, MaterialPoints
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.fusedneohookean import stored_energy
+from dolfinmpm.dynamics.fusedumat import UmatCalls, variables_of
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.dynamics.settings import Settings
@@ -22,6 +23,7 @@ from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.kinematics.fbar import VOLUMES
+from dolfinmpm.kinematics.incremental import Incremental
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.materials.umat import UMAT
@@ -94,7 +96,12 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         return "loads over cells or facets of the grid"
     kinds = {_kind(d) for d in declarations}
     if len(kinds) != 1 or None in kinds:
-        return "laws have several strain formulations, or an unsupported one, or are UMATs"
+        return "laws have several strain formulations, or an unsupported one"
+    published = [d for d in declarations if isinstance(d.law, UMAT)]
+    if published and len(published) < len(declarations):
+        return "some laws are UMATs, and others are not"
+    if published and declarations[0].fbar:
+        return "F-bar acts on UMATs"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "F-bar acts in laws by tags"
     if any(d.fbar == VOLUMES for d in declarations):
@@ -127,8 +134,6 @@ def _why_not_the_form(form: WeakForm) -> str | None:
 def _kind(declaration: Declaration) -> int | None:
     if isinstance(declaration.law, NeoHookean):
         return NEO
-    if isinstance(declaration.law, UMAT):
-        return None
     return {"large": LAW, "small": SMALL, "jaumann": JAUMANN}.get(declaration.strain)
 
 
@@ -146,10 +151,12 @@ class Laws:
         internal: Internal variables side by side, shape (n, variables).
         table: Addresses of the laws, their parameters, whether parameters vary over points, and
             the law of each point.
+        calls: Data of the calls of UMATs, or None for other laws.
     """
 
     table: tuple[Any, ...]
     internal: Array
+    calls: UmatCalls | None = None
 
     def __init__(self, points: MaterialPoints, declarations: Sequence[Declaration]):
         self._points, self._declarations = points, list(declarations)
@@ -159,7 +166,10 @@ class Laws:
         self._revision, self._marked = -1, False
         # revision of the state that the known stored energy belongs to
         self._stored_of: tuple[int, bytes] | None = None
+        self._published = isinstance(self._declarations[0].law, UMAT)
         self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
+        if self._published:
+            self.state = Incremental.state
         self.fbar = self._declarations[0].fbar
 
     def gather(self, touched: Set[str]) -> None:
@@ -179,6 +189,10 @@ class Laws:
         addresses = np.zeros(len(laws), np.intp)
         if self.kind == NEO:
             numbers = np.array([lame(d.law.E, d.law.nu) for d in laws])
+        elif self._published:
+            addresses[:] = [d.law.address for d in laws]
+            numbers = _rows([d.law.properties for d in laws])
+            self.calls = UmatCalls.of(points, laws)
         else:
             addresses[:] = [d.law.stress_address for d in laws]
             numbers = self._parameters()
@@ -190,6 +204,8 @@ class Laws:
         by_points = any(d.law.varies for d in laws)
         self.table = addresses, numbers, by_points, which
         names = [] if self.kind == NEO else [list(d.law.internal) for d in laws]
+        if self._published:
+            names = [variables_of(d) for d in laws]
         width = max((len(own) for own in names), default=0)
         self._names = names
         if len(laws) == 1 and width == 1:
@@ -254,16 +270,21 @@ class Laws:
         laws, n = self._declarations, len(self._points)
         # kernels also need parameters derived from the declared ones
         values = [d.parameters() for d in laws]
-        width = max(own.shape[1] for own in values)
         if not any(d.law.varies for d in laws):
-            numbers = np.zeros((len(laws), width))
-            for k, own in enumerate(values):
-                numbers[k, : own.shape[1]] = own[0]
-            return numbers
+            return _rows([own[0] for own in values])
+        width = max(own.shape[1] for own in values)
         numbers = np.zeros((n, width))
         for d, own in zip(laws, values):
             numbers[d.rows, : own.shape[1]] = own
         return numbers
+
+
+def _rows(values: Sequence[Array]) -> Array:
+    """Rows of different lengths, with zeros behind the shorter ones."""
+    result = np.zeros((len(values), max(own.size for own in values)))
+    for row, own in zip(result, values):
+        row[: own.size] = own
+    return result
 
 
 class FusedLoads:

@@ -173,13 +173,14 @@ class FusedSteps:
         migrated, reason, taken = 0, None, 0
         *others, main = PASSES[self._settings.scheme]
         while taken < count and reason is None:
-            self._prescribed.drive(begin(taken).t - dt, dt)
+            started = begin(taken).t - dt
+            self._prescribed.drive(started, dt)
             fresh = not self._worth.live
             if fresh:
                 with stages.activate:
                     if self._window.basis.partition is not self._points.partition:
                         self._surround()
-                        self._prescribed.drive(begin(taken).t - dt, dt)
+                        self._prescribed.drive(started, dt)
                     self._prepare()
                 self._worth.live = True
             elif self._loads.changed():
@@ -191,6 +192,8 @@ class FusedSteps:
                     self._arrays.strain()
             if fresh:
                 reason = self._scatter(main, dt)
+            if self._laws.calls is not None:
+                self._laws.calls.moment[0] = started
             taken += 1
             last = taken == count
             # the sums of the last step of all would not be used
@@ -276,12 +279,14 @@ class FusedSteps:
         )  # fmt: skip
         affine, _ = _AFFINE.get(mapping.kind, (0, None))
         share = mapping.share if mapping.kind == "flip" else 0.0
-        data: tuple[Array, ...] = (*arrays.data, self._loads.body)
+        data: tuple[Any, ...] = (*arrays.data, self._loads.body)
         if self._means is not None and means:
             data = (*data, self._means.sums, arrays.J_bar)
+        if laws.calls is not None:
+            data = (*data, laws.calls.data)
         loop = kernel(
             self._points.gdim, window.basis.degree, self._growth, laws.kind, affine, parts, general,
-            means,
+            means, laws.calls is not None,
         )  # fmt: skip
         return loop(
             window.grid, window.nodes, window.out, data, laws.table, dt, share, *switches, rows,
@@ -292,9 +297,12 @@ class FusedSteps:
         points = self._points
         found = None
         if bad >= 0:
+            calls = self._laws.calls
+            why = calls.failure() if calls is not None else ""
+            why = f"the UMAT {why}" if why else "it has no stress, no volume or has left the grid"
             found = (
-                f"point {points['id'][bad]} at {points['x'][bad]} m has no stress, no volume or "
-                f"has left the grid (det F = {np.linalg.det(points['F'][bad]):.4g})"
+                f"point {points['id'][bad]} at {points['x'][bad]} m: {why} "
+                f"(det F = {np.linalg.det(points['F'][bad]):.4g})"
             )
             lines = self._basis.lattice.lines
             if not all(line[0] <= c <= line[-1] for c, line in zip(points["x"][bad], lines)):

@@ -32,6 +32,7 @@ from dolfinmpm.dynamics.fusednodes import (
     take_moments,
     within,
 )
+from dolfinmpm.dynamics.fusedumat import begin_umats, umat_stress
 from dolfinmpm.dynamics.passes import COLUMNS, FAST, GROWTH, JAUMANN, LAW, MEANS, NEO, SMALL, Pass
 from dolfinmpm.dynamics.smalltensors import (
     add_symmetric,
@@ -73,6 +74,7 @@ def kernel(
     parts: Pass,
     general: bool,
     means: int = 0,
+    umat: bool = False,
 ):
     """The loop for a dimension, a basis, a strain formulation, an affine part and a pass.
 
@@ -83,8 +85,7 @@ def kernel(
     not know. `record` tells whether what only others read is written: accelerations, volumes,
     stresses. Without `advance` points only scatter where they are, as `new` tells, and without
     `spread` they do not: the first pass of all and the last one need no loops of their own.
-    Growth of domains (0: points have none) and `means` of F-bar are told in
-    `dolfinmpm.dynamics.passes`.
+    Growth of domains and `means` of F-bar: see `dolfinmpm.dynamics.passes`. `umat`: laws are UMATs.
     """
     averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
     velocity, strain, move, same, new = parts
@@ -120,6 +121,8 @@ def kernel(
         if means > 0:
             sums, J_bar = points[16:]
             cells_at = np.intp(sums.ctypes.data)
+        if umat:
+            begin_umats(points[16], dt)
         between = 1
         for k in range(d - 1, -1, -1):
             final[k] = lines[k].size - 2
@@ -221,6 +224,8 @@ def kernel(
                     if tpic:
                         keep(d, C, p, h, 1.0)
                 if strain:
+                    if umat:
+                        take(d, F, p, D)
                     deformed(d, a, F, p, f)
                     J, stretched = determinant(d, f), determinant(d, a)
                     if not (J > 0.0 and stretched > 0.0):
@@ -240,6 +245,12 @@ def kernel(
                     if kind == NEO:
                         lmbda, mu = parameters[which_law, 0], parameters[which_law, 1]
                         neo_hookean(d, f, J, lmbda, mu, t)
+                    elif umat:
+                        if not umat_stress(
+                            d, kind == JAUMANN, points[16], law, which_law, dt, u, D, a,
+                            J / stretched, X, p, state, internal, tau_old, e_out, t,
+                        ):  # fmt: skip
+                            return np.intp(p), left, behind
                     else:
                         take_symmetric(d, 3, state, p, y)
                         if kind == LAW:
@@ -291,11 +302,11 @@ def kernel(
                             t[2, 2] = tau[0]
                             if record:
                                 state[p, 2] = math.exp(2.0 * e[0]) if kind == LAW else e[0]
-                        if kind == JAUMANN:
-                            # Cauchy's
-                            ratio = J
-                        if kind == JAUMANN or used:
+                        if used and kind != JAUMANN:
                             scaled(t, ratio)
+                    if kind == JAUMANN:
+                        # Kirchhoff's of Cauchy's
+                        scaled(t, J)
                     if kind != SMALL and (kind != NEO or record):
                         # the rate by the middle of the step
                         carried(d, 0.5 * dt, h, h)

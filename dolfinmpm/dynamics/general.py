@@ -290,7 +290,7 @@ class GeneralSteps(ExplicitBase):
         """
         V, A = motion
         V_end = V + dt * A
-        faces = self._sides.on(here.fields[0].basis)
+        faces = self._sides.on(here.fields[0].basis, t)
         fixed = here.unknowns.fields[0].fixed
         if faces is not None and faces.dashpots is not None:
             V_end[fixed] = held[fixed]

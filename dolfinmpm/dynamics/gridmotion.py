@@ -106,6 +106,8 @@ class GridMotion:
             rates: Velocities of prescribed components (m/s), shape (nodes, d) per field.
         """
         start, self._times = None, (t - dt, t)
+        for k in here.movers:
+            self._sides.on(here.fields[k].basis, t - dt)
         if self._starting or self.rule.by_forces:
             plain = Operator(form, here)
             plain.move_to_start()

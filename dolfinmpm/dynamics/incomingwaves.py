@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import at_time, check_function, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 
 __all__ = ["IncomingWaves", "checked_incoming"]
 
@@ -69,14 +70,23 @@ class IncomingWaves:
     Args:
         size: Number of nodes.
         d: Dimension of space.
+
+    Attributes:
+        beside: Sides beside columns of ground.
     """
 
+    beside: list[ColumnAtSide]
+
     def __init__(self, size: int, d: int):
-        self._shape = size, d
+        self._shape, self.beside = (size, d), []
         self._parts: list[tuple[npt.NDArray[np.intp], int, Array, Wave]] = []
 
     def __bool__(self) -> bool:
-        return bool(self._parts)
+        return bool(self._parts or self.beside)
+
+    def clear(self) -> None:
+        """Forget the waves that were added."""
+        self._parts.clear()
 
     def add(self, nodes: npt.NDArray[np.intp], direction: int, dashpots: Array, wave: Wave) -> None:
         """Add a wave through some nodes.
@@ -90,8 +100,11 @@ class IncomingWaves:
         self._parts.append((nodes, direction, dashpots, wave))
 
     def forces(self, t: float) -> Array:
-        """Forces 2 c v_up of the waves at time t (N), shape (nodes, d)."""
+        """Forces 2 c v_up of the waves, and of columns, at time t (N), shape (nodes, d)."""
         out = np.zeros(self._shape)
         for nodes, k, c, wave in self._parts:
             out[nodes, k] += 2.0 * c * _velocity(wave, t)
+        for side in self.beside:
+            nodes, pushes = side.forces(t)
+            out[nodes] += pushes
         return out

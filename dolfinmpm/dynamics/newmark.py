@@ -27,7 +27,12 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
-from dolfinmpm.dynamics.faces import Sides, split_conditions
+from dolfinmpm.dynamics.faces import (
+    Sides,
+    ghost_mass_at,
+    refuse_constraints,
+    split_conditions,
+)
 from dolfinmpm.dynamics.gridmotion import GridMotion
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
@@ -91,6 +96,7 @@ class TimeStepping(MovingBody, QuasiStatic):
                     f"the frictional face at '{face.where}' is for explicit steps only; hold the "
                     "side with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
+        ghost_mass = ghost_mass_at(faces, u._dolfinmpm_space, mass, ghost_mass)
         ties = mass == "consistent" and ghost_mass is None
         own = rule.alpha_m == rule.alpha_f == 0.0
         rule = replace(rule, by_forces=ties and own)
@@ -99,6 +105,7 @@ class TimeStepping(MovingBody, QuasiStatic):
         super().__init__(form, increment, points, conditions, scheme=scheme, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
+        refuse_constraints(faces, self.fields)
         if faces:
             refuse_field_tags(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points, self.bcs)

@@ -55,6 +55,9 @@ class PointArrays:
         state = points[laws.state] if laws.state else np.empty((0, 6))
         small, logarithmic = laws.kind == SMALL, laws.kind == LAW
         e_out = 0.5 * np.log(state[:, 2]) if logarithmic else state[:, 2].copy()
+        if laws.calls is not None:
+            # Cauchy's stress, and not the strain
+            e_out = points["stress"][:, 2, 2].copy()
         # Kirchhoff stresses; by columns, because fancy indexing is ten times slower
         stress, J = points["stress"], 1.0 if small else points["V"] / points["V0"]
         tau = np.empty((n, len(_PAIRS[d][0])))
@@ -104,6 +107,8 @@ class PointArrays:
         sigma = tau if small else tau / J[:, None]
         points["stress"][:, i, j] = sigma
         points["stress"][:, j, i] = sigma
-        if self._laws.state and points.gdim == 2:
+        if self._laws.calls is not None and points.gdim == 2:
+            points["stress"][:, 2, 2] = e_out
+        elif self._laws.state and points.gdim == 2:
             logarithmic = self._laws.kind == LAW
             points[self._laws.state][:, 2] = np.exp(2.0 * e_out) if logarithmic else e_out

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from mpi4py import MPI
 
@@ -12,7 +14,7 @@ from dolfinmpm.forms.operators import KeptTangents
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.smallstrain import SmallStrain
-from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation, symmetric
+from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
 from dolfinmpm.kinematics.umatloop import kept_of_umat, umat_kernel
 from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.materials.umatcall import DDSDDE, FAILURES
@@ -25,6 +27,10 @@ ENERGIES = ("elastic_energy", "plastic_dissipation", "creep_dissipation")
 _FUNCTIONS = {"jaumann": Jaumann, "small": SmallStrain}
 # size of the strain increment of the trial before the first step (-)
 _TRIAL = 1e-6
+# points that are asked at a time for a tangent: their arrays fit into the cache
+_CHUNK = 4096
+# no values at the end of a step are asked for
+_NOTHING = np.empty((0, 3, 3)), np.empty((0, 6)), np.empty((3, 0)), np.empty((0, 0))
 
 
 class Incremental(StrainFormulation):
@@ -57,7 +63,7 @@ class Incremental(StrainFormulation):
         super().__init__(law, points, tags)  # type: ignore[arg-type]
         # axisymmetric points have three dimensions, without shear out of the plane
         self._components = 6 if points.gdim == 3 else 4
-        self._loop = umat_kernel(points.strain_dim, self._components)
+        self._loop = umat_kernel(points.strain_dim, self._components, strain == "jaumann")
         self._tried, self._size = False, 1.0
         self.umat = law
 
@@ -121,13 +127,13 @@ class Incremental(StrainFormulation):
         values, known = (
             (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
         )
-        energies = np.stack([read(name) for name in ENERGIES], axis=1)
+        energies = tuple(read(name) for name in ENERGIES)
         of_all = read("F"), read("stress"), read(self.state), energies, read("x"), read("id")
         start, length = points.interval
         time = np.array([start, length, self._size])
         return self._loop(
             law.address, law.properties, law.numbers(self._components), law.name,
-            self.strain == "jaumann", time, np.ascontiguousarray(operand),
+            time, np.ascontiguousarray(operand),
             np.ascontiguousarray(rows, np.int32), of_all, self.internal(rows), values, known, S, A,
             new, status,
         )  # fmt: skip
@@ -149,33 +155,28 @@ class Incremental(StrainFormulation):
         if len(rows) == 0:
             return -1
         A = np.empty((0, 1, 1)) if tangent is None else tangent
-        new = np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 3))
-        return self._respond(operand, rows, kept, value, A, new, np.zeros(1, np.int32))
+        return self._respond(operand, rows, kept, value, A, _NOTHING, np.zeros(1, np.int32))
 
     def commit(
         self, operand: Array, rows: Rows, kept: KeptTangents | None = None
     ) -> dict[str, Array]:
         """Stress, total strain, energies and state variables at the end of the step."""
-        n, variables = len(rows), len(self.umat.internal)
-        new = np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 3))
-        known = kept is not None and kept.known
-        if kept is None or not known:
-            kept = KeptTangents(np.empty((n, self.keeps)), False)
+        n, names = len(rows), list(self.umat.internal)
+        new = np.empty((n, 3, 3)), np.empty((n, 6)), np.empty((3, n)), np.empty((len(names), n))
         if n:
             none = np.empty((0, 1)), np.empty((0, 1, 1))
-            bad = self._respond(operand, rows, kept, *none, new, np.zeros(1, np.int32))
+            known = kept if kept is not None and kept.known else None
+            bad = self._respond(operand, rows, known, *none, new, np.zeros(1, np.int32))
             if bad >= 0:
                 new[0][bad:] = np.nan
-        stress, strain, energies = new
-        fields = {"stress": symmetric(stress), self.state: strain}
-        fields |= {name: energies[:, k].copy() for k, name in enumerate(ENERGIES)}
-        last = kept.values[:, self.keeps - variables :]
-        return fields | {name: last[:, k].copy() for k, name in enumerate(self.umat.internal)}
+        stress, strain, energies, state = new
+        fields = {"stress": stress, self.state: strain}
+        return fields | dict(zip(ENERGIES, energies)) | dict(zip(names, state))
 
     def _work(self, rows: Rows) -> Array:
         """Arrays of calls at the present state, without strain increments."""
         points, m = self.points, self._components
-        stress = points["stress"][rows][:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        stress = points.fields.read("stress")[rows].reshape(-1, 9)[:, [0, 4, 8, 1, 2, 5]]
         return self.umat.work(stress[:, :m], self.internal(rows), m)
 
     def energy(self) -> Array | None:
@@ -186,37 +187,51 @@ class Incremental(StrainFormulation):
             stored = stored * points["V"][rows] / points["V0"][rows]
         return stored if stored.any() or not points["stress"][rows].any() else None
 
-    def _tangents(self) -> Array:
-        """DDSDDE at the present state without a strain increment (Pa), shape (n, 6 or 4 squared).
+    def _of_tangents(self, size: int, measure: Callable[[Array], Array]) -> Array:
+        """A function of DDSDDE at the present state without a strain increment.
+
+        Args:
+            size: How many numbers the function has per point.
+            measure: Function of DDSDDE (Pa), shape (n, 6, 6) or (n, 4, 4), with results of the
+                shape (n, size).
 
         Raises:
             StateError: The UMAT finds no stress.
         """
-        m = self._components
-        work = self._work(self.rows)
-        status = self.umat.call(work, m)
-        D = work[:, DDSDDE : DDSDDE + m * m].reshape(-1, m, m)
-        bad = np.flatnonzero((status == 1) | ~np.isfinite(D).all(axis=(1, 2)))
-        if bad.size:
-            p = self.rows[bad[0]]
-            raise StateError(
-                f"{self.law!r} has no tangent at the stress {self.points['stress'][p].tolist()} Pa "
-                f"of point {self.points['id'][p]}: {FAILURES.get(int(status[bad[0]]), 'NaN')}. Set "
-                "an initial stress with mpm.set_stress, and first values of the state variables"
-            )
-        return D
+        m, every = self._components, self.rows
+        result = np.empty((len(every), size))
+        for first in range(0, len(every), _CHUNK):
+            rows = every[first : first + _CHUNK]
+            work = self._work(rows)
+            status = self.umat.call(work, m)
+            D = work[:, DDSDDE : DDSDDE + m * m].reshape(-1, m, m)
+            bad = np.flatnonzero((status == 1) | ~np.isfinite(D.sum(axis=(1, 2))))
+            if bad.size:
+                p = rows[bad[0]]
+                raise StateError(
+                    f"{self.law!r} has no tangent at the stress "
+                    f"{self.points['stress'][p].tolist()} Pa of point {self.points['id'][p]}: "
+                    f"{FAILURES.get(int(status[bad[0]]), 'NaN')}. Set an initial stress with "
+                    "mpm.set_stress, and first values of the state variables"
+                )
+            result[first : first + _CHUNK] = measure(D)
+        return result
 
     def stiffness(self) -> Array:
         """Largest stiffness along one axis at the law's points (Pa), for wave speeds."""
-        D = self._tangents()
-        return np.abs(np.diagonal(D, axis1=1, axis2=2)[:, :3]).max(axis=1, initial=0.0)
+        return self._of_tangents(
+            1, lambda D: np.abs(D[:, [0, 1, 2], [0, 1, 2]]).max(axis=1, keepdims=True)
+        )[:, 0]
 
     def moduli(self) -> Array:
         """P-wave modulus and shear modulus of DDSDDE at the law's points (Pa), shape (n, 2)."""
-        D = self._tangents()
-        along = np.einsum("pii->p", D[:, :3, :3]) / 3
-        across = np.diagonal(D, axis1=1, axis2=2)[:, 3:].mean(axis=1)
-        return np.stack([np.abs(along), np.abs(across)], axis=1)
+
+        def measure(D: Array) -> Array:
+            along = np.einsum("pii->p", D[:, :3, :3]) / 3
+            across = np.diagonal(D, axis1=1, axis2=2)[:, 3:].mean(axis=1)
+            return np.stack([np.abs(along), np.abs(across)], axis=1)
+
+        return self._of_tangents(2, measure)
 
     def describe(self, operand: Array, row: int) -> str:
         """Description of a point at which the UMAT found no stress, for messages.
@@ -227,9 +242,8 @@ class Incremental(StrainFormulation):
         """
         d, status = self.points.strain_dim, np.zeros(1, np.int32)
         H = np.array(operand, float).reshape(1, d * d)
-        new = np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 3))
         S, A = np.empty((1, d * d)), np.empty((0, 1, 1))
-        self._respond(H, np.array([row], np.int32), None, S, A, new, status)
+        self._respond(H, np.array([row], np.int32), None, S, A, _NOTHING, status)
         number = int(self.points["id"][row])
         if status[0] == 0:
             det = float(np.linalg.det(np.eye(d) + H.reshape(d, d)))

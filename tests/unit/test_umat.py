@@ -113,7 +113,47 @@ def test_a_column_is_that_of_the_built_in_law(kind):
     else:
         assert problems[0].energies().strain > 0.0
     if kind is mpm.Explicit:
-        assert "UMAT" in problems[0].unfused
+        assert not problems[0].unfused
+
+
+@pytest.mark.parametrize(
+    ("d", "scheme", "strain"), [(2, "usl", "jaumann"), (2, "usf", "small"), (3, "musl", "jaumann")]
+)
+def test_fused_steps_are_the_general_ones(d, scheme, strain, tmp_path):
+    body = (
+        ELASTIC
+        + """
+  stress = stress + 1d2*stran*dtime + 1d3*(dfgrd1(1, 2) - dfgrd0(1, 2)) + 1d-3*noel*dstran
+  statev(1:3) = statev(1:3) + [time(2), dtime, coords(2)*celent]
+  statev(4) = statev(4) + drot(2, 1)
+  sse = sse + sum(stress*dstran)
+"""
+    )
+    turn, found = np.array([[0, 2, 1], [-2, 0, 0], [1, 1, 0]]), []
+    for fused in (True, False):
+        grid = mpm.create_lattice(COMM, [np.linspace(0, 2, 5)] * d)
+        points = mpm.fill(grid, mpm.Box((0.5,) * d, (1.5,) * d), 2, 1000.0)
+        points["tag"] = points["x"][:, 0] > 1.0
+        V = mpm.Space(grid, "gimp")
+        laws = [written(tmp_path, body, state=list("abcd")),
+                umat("mises.f", [1e6, 0.3, 1e4, 1e5], ["plastic_strain"])]  # fmt: skip
+        F = sum(mpm.momentum(law, points, V.increment, V.test, strain=strain, tag=k)
+                for k, law in enumerate(laws))  # fmt: skip
+        points.add_field("velocity", (d,), "m/s")
+        points["velocity"] = 3.0 * np.sin(points["x"] @ turn[:d, :d])
+        problem = mpm.Explicit(F, V.increment, points, scheme=scheme, fused=fused)
+        assert problem.unfused == ("" if fused else "fused=False")
+        for t in (0.01, 0.03):
+            problem.step(t)
+            points["stress"][:, 2, 2] -= 10.0
+        order = np.argsort(points["id"])
+        names = ("x", "F", "stress", "total_strain", "elastic_energy", "plastic_strain", *"abcd")
+        found.append({name: points[name][order] for name in names})
+    assert found[0]["plastic_strain"].max() > 1e-3
+    assert (np.abs(found[0]["d"]).max() > 1e-3) == (strain == "jaumann")
+    for name, own in found[0].items():
+        other = found[1][name]
+        assert np.abs(own - other).max() <= 1e-10 * np.abs(other).max(), name
 
 
 def test_the_means_of_f_bar_are_those_of_the_built_in_law():
@@ -173,6 +213,23 @@ def test_a_step_is_halved_where_pnewdt_asks_for_it(tmp_path):
     with pytest.raises(mpm.errors.ConvergenceError, match="PNEWDT < 1"):
         column(written(tmp_path, ELASTIC + "  if (noel == 7 .and. stress(2) < -1d3) pnewdt = 0"),
                mpm.QuasiStatic)  # fmt: skip
+
+
+def test_an_explicit_step_that_the_umat_refuses_is_told_and_taken_back(tmp_path):
+    law = written(tmp_path, ELASTIC + "  if (time(2) > 0.02) pnewdt = 0.5d0")
+    V = mpm.Space(mpm.create_lattice(COMM, [range(-2, 6)] * 2), "gimp")
+    points = mpm.fill(V.grid, mpm.Box((0, 0), (3, 3)), 2, 1000.0)
+    F = mpm.momentum(law, points, V.increment, V.test, strain="jaumann")
+    problem = mpm.Explicit(F, V.increment, points)
+    points["velocity"] = np.sin(points["x"])[:, ::-1]
+    problem.step(0.015)
+    before = points["total_strain"].copy()
+    with pytest.raises(mpm.errors.InstabilityError, match="the UMAT asks for a shorter step"):
+        problem.step(0.2)
+    assert not problem.unfused
+    assert problem.time == 0.015
+    assert np.abs(before).max() > 1e-3
+    assert np.array_equal(points["total_strain"], before)
 
 
 @pytest.mark.parametrize(

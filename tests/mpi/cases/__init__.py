@@ -139,5 +139,6 @@ CASES = {
         substructures.steps_in_parts,
         substructures.rows_of_all_ranks,
         shaking.shaking,
+        shaking.free_fields,
     )
 }

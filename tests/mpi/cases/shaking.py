@@ -1,4 +1,4 @@
-"""Ground in an earthquake: tied sides, and waves that come in, on any number of ranks."""
+"""Ground in an earthquake: tied and free-field sides, waves that come in, on several ranks."""
 
 from __future__ import annotations
 
@@ -46,3 +46,42 @@ def shaking():
         "explicit": _column(mpm.Explicit),
         "consistent": _column(mpm.Explicit, 1, 10, mass="consistent", ghost_mass=0.0),
     }
+
+
+def free_fields():
+    """A layer with a hill between free-field sides, in 2D and in 3D, with incoming waves."""
+    record = mpm.InputMotion([0.0, 0.02, 0.06, 0.1], velocity=[0.0, 0.1, -0.1, 0.0])
+    rock = {"density": 2400.0, "p_speed": 900.0, "s_speed": 500.0}
+
+    def ground(kind, d, width, hill=0.0, sides=None, **options):
+        lines = [np.arange(12.0), *([np.arange(3.0)] * (d - 2)), np.arange(7.0)]
+        grid = mpm.create_lattice(COMM, lines)
+        middle = (2.0,) * (d - 2)
+        body = mpm.Box((4,) + (0,) * (d - 1), (4 + width, *middle, 4))
+        if hill:
+            body |= mpm.Box((5, *(0,) * (d - 2), 4), (5 + hill, *middle, 6))
+        points = mpm.fill(grid, body, 2, 2000.0)
+        V = mpm.Space(grid, "gimp")
+        F = hencky(points, V, ghost=False, E=2e8)
+        wave = (record, *(None,) * (d - 1))
+        bcs = mpm.absorbing(V, "bottom", **rock, incoming=wave)
+        if d == 3:
+            bcs += mpm.rollers(V, "front", "back")
+        if sides is None:
+            options["prolongation"] = mpm.tied(V, period=width)
+        else:
+            bcs += mpm.free_field(V, "left", "right", column=sides)
+        return points, kind(F, V.increment, points, bcs, **options)
+
+    figures = {}
+    for name, kind, d in (("newmark", mpm.Newmark, 2), ("explicit", mpm.Explicit, 3)):
+        _, beside = ground(mpm.Newmark, d, 1.0, tolerance=1e-12, mass="lumped")
+        column = mpm.GroundColumn(beside, 0.08, dt=4e-3)
+        options = {"tolerance": 1e-12} if kind is mpm.Newmark else {}
+        points, problem = ground(kind, d, 4.0, 2.0, column, **options)
+        for t in mpm.times(0.08, dt=4e-3):
+            problem.step(t)
+        now = problem.energies()
+        figures[name] = sums(points, "x", "stress", "velocity")
+        figures[name]["energies"] = [now.kinetic, now.external, now.losses["damping"]]
+    return figures
