@@ -42,13 +42,12 @@ def leaf_pair(boxes: tuple[Box, Box], direction: int, tensor: Array) -> Pair:
             for k in range(d):
                 lines = [_moment(box, e, int(e == i), int(e == k)) for e in range(d)]
                 gradients[c, i, :, k] = own.T @ product(lines) @ own
-    J = tensor.reshape(2 * each, 2 * each, -1)
-    blocks = (
-        J[:, :, 0, None, None] * np.eye(d) if J.shape[2] == 1 else J.reshape(*J.shape[:2], d, d)
-    )
+    pairs: Array = np.asarray(tensor.reshape(2 * each, 2 * each, -1))
+    if pairs.shape[2] == 1:
+        pairs = np.asarray(pairs * np.eye(d).ravel())
     whole = np.kron(T, np.eye(d))
-    J = blocks.transpose(0, 2, 1, 3).reshape(len(whole), len(whole))
-    return Pair(gradients, whole.T @ J @ whole)
+    J = np.transpose(pairs.reshape(2 * each, 2 * each, d, d), (0, 2, 1, 3))
+    return Pair(gradients, whole.T @ J.reshape(len(whole), len(whole)) @ whole)
 
 
 def _moment(box: Box, d: int, first: int, second: int) -> Array:
