@@ -100,6 +100,38 @@ def test_a_point_that_begins_to_yield_is_told():
     assert all(np.abs(by["share"]).max() < 1e-6 for by in later.derivatives.values())
 
 
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_second_run_begins_where_the_first_one_leaves(side):
+    """In the third of five steps, a point yields at strengths below one between these two."""
+    fixed = {"E": 10e3, "nu": 0.2, "density": 80.0}
+    ends = [500.0, 510.0]
+
+    def scene(m):
+        return column({**fixed, **m}, "von-mises")
+
+    def number(strength):
+        run = scene({"yield": strength})
+        for step in run.steps[:3]:
+            step()
+        return np.count_nonzero(run.problem.points["plastic_strain"])
+
+    of_first = number(ends[0])
+    for _ in range(21):
+        middle = sum(ends) / 2
+        ends[number(middle) != of_first] = middle
+    # the perturbation goes towards the other end, and passes the kink
+    strength, sign = ends[side], 1 - 2 * side
+    found = study.differentiate(scene, {"yield": strength}, scales={"yield": sign * strength})
+    assert "yield, step 3: 1 points start or stop to yield" in found.notes[0]
+    h = -sign * 1e-5
+    at, near, far = (history_of(scene, {"yield": strength * (1 + k * h)}) for k in (0.0, 0.5, 1.0))
+    for name, by in found.derivatives.items():
+        exact = (4 * near[name] - far[name] - 3 * at[name]) / h
+        np.testing.assert_allclose(
+            sign * by["yield"], exact, rtol=0, atol=1e-6 * np.abs(exact).max()
+        )
+
+
 def test_errors_are_estimated_by_a_second_perturbation():
     scene, parameters = CASES["elastic"]
     found = study.differentiate(scene, {**parameters, "density": 60.0}, estimate=True)
