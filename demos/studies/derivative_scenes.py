@@ -12,16 +12,8 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 from dolfinmpm.study import Run
 
-__all__ = [
-    "CASES",
-    "SAND",
-    "SOFT",
-    "by_whole_runs",
-    "errors_of",
-    "footing",
-    "history_of",
-    "sizes_of",
-]
+__all__ = ["CASES", "SAND", "SOFT", "by_whole_runs", "column", "errors_of", "footing"]
+__all__ += ["grid_of", "history_of", "in_time", "sizes_of"]
 
 # of Newton's method, so that differences of whole runs are exact
 TIGHT = 1e-12
