@@ -99,7 +99,8 @@ if args.reach is not None:
         lambda m: scene({**rest, **m}), {"nu": parameters["nu"]}, epsilon=args.reach
     )
     kinks = wide.notes
-    say(*kinks, sep="\n")
+    for note in kinks:
+        say(note)
     for h in (args.reach, args.reach / 10):
         up, down = (
             history_of(scene, {**parameters, "nu": parameters["nu"] * (1 + sign * h)})["resistance"]
