@@ -7,6 +7,7 @@ from benchmark_rows import Answer, Row, each, keys
 RINGS, STEEL, WATER = "Axisymmetric bodies", "Soil and steel", "Soil and water"
 LEAVES = "Refined spaces"
 GROUND = "Ground"
+PARAMETERS = "Derivatives, calibration and reliability"
 EXACT = "exact: 0"
 TOUCHING = "--contact bodies --integrator newmark --mass consistent --mapping flip"
 SWEEP = "--sweep --load 1e-3 --permeability constant --theta 1"
@@ -77,6 +78,17 @@ def _cone_leaves(*answers: Answer) -> list[float]:
 def _amplification(*answers: Answer) -> list[float]:
     """Largest error of the amplification (%) up to 10 and up to 20 nodes per wavelength."""
     return [100 * answer["errors"][nodes] for answer in answers for nodes in ("10", "20")]
+
+
+def _worst_derivative(answer: Answer) -> list[float]:
+    """Largest error of elastic examples, and of the others."""
+    rows = [(row["case"].startswith("elastic"), row["error"]) for row in answer["rows"]]
+    return [max(error for elastic, error in rows if elastic is kind) for kind in (True, False)]
+
+
+def _cost_of_parameters(*answers: Answer) -> list[float]:
+    """Time of the first parameter and of each further one, over that of a run (%)."""
+    return [100 * answer[name] for answer in answers for name in ("first", "further")]
 
 
 ROWS = (
@@ -267,4 +279,25 @@ ROWS = (
         ("mpirun -n 2 python3 demos/studies/debris_flow.py",),
         lambda a: [100 * a["volume_error"], 100 * a["momentum_error"], 1e-6 * a["peak"]],
         "{:.0e}, {:.2f}, {:.1f}", "0, 0"),
+    Row("derivatives", PARAMETERS, "derivatives of 29 examples by all their parameters beside "
+        "differences of whole runs: largest error of elastic examples, of the others",
+        each("derivatives", ""), _worst_derivative, "{:.0e}, {:.0e}", "exact: 0"),
+    Row("derivatives-time", PARAMETERS, "time of the first parameter, of each further one over a "
+        "run without (%): Mohr–Coulomb footing of 10 000 points; elastic block of 36 000 unknowns "
+        "in 3D", each("derivatives", "--time", "--time --block --repeat 1"), _cost_of_parameters,
+        "{:.0f}, {:.0f}; {:.0f}, {:.0f}"),
+    Row("calibration", PARAMETERS, "E, cohesion and friction angle of a footing from curves with "
+        "random errors, 20 sets: truths inside their 95 % intervals, of 60; most runs of a fit",
+        each("calibrate_footing", ""),
+        lambda a: [sum(a["counts"].values()), max(a["runs"])], "{:.0f}; {:.0f}", "57 expected"),
+    Row("reliability", PARAMETERS, "slope with a random field of strength, correlation lengths of "
+        "40, 10, 5 m: reliability index β; most runs with derivatives",
+        each("slope_reliability", ""),
+        lambda a: [*(row["beta"] for row in a["rows"]), max(row["runs"] for row in a["rows"])],
+        "{:.2f}, {:.2f}, {:.2f}; {:.0f}"),
+    Row("indentation", PARAMETERS, "indentation of saturated ground, cells of 0.5 m: stiffness "
+        "(kN/m); error of its derivative by dimensions; force with the modulus found in one step "
+        "over the measured one, less 1", each("indentation", "--unchecked"),
+        lambda a: [a["stiffness"] / 1e3, a["by_dimensions"], abs(a["missed"])],
+        "{:.0f}; {:.0e}; {:.0e}", "GeoWarp, cells of 0.25 m: 1357; 0; 0"),
 )  # fmt: skip

@@ -7,7 +7,11 @@
 # Its resistance has the logarithmic derivatives $1 - N'/N$ by the strength and $N'/N$ by the shear
 # modulus, with $N' = dN/d\ln I$. By dimensions, their sum is one in any calculation.
 #
-# Points that touch the cone at another step make small kinks. Derivatives are those between kinks.
+# Points that touch the cone, or yield, in another step make kinks. Derivatives are those between
+# kinks, and reach no further. Poisson's ratio has kinks close by: one point yields or not in steps
+# 29, 32 and 39 if it changes by a ten-thousandth. `--reach 1e-4` tells these steps, and shows that
+# differences of whole runs approach the derivative once they stay between the kinks: −0.651 by
+# changes of 1e-4, −0.571 by changes of 1e-5 and by the derivative.
 
 # %%
 from __future__ import annotations
@@ -16,7 +20,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from derivative_scenes import MPI
+from derivative_scenes import MPI, history_of
 from options import Options, natural, positive
 from scene import finish, say
 
@@ -32,6 +36,7 @@ class Input(Options):
     steps: int = natural(40, "steps of a tenth of the radius")
     index: float = positive(100.0, "rigidity index G/c_u")
     friction: float = positive(0.05, "friction coefficient of the cone")
+    reach: float | None = positive(None, "change of Poisson's ratio that is looked at for kinks")
 
 
 args = Input.parse()
@@ -68,7 +73,7 @@ def scene(m):
 
 cu = 10e3
 parameters = {"cu": cu, "G": args.index * cu, "nu": 0.45, "friction": args.friction}
-found = study.differentiate(scene, parameters, central=False)
+found = study.differentiate(scene, parameters)
 
 # %%
 # means over the last third of the way, where the resistance is steady
@@ -85,5 +90,23 @@ for name, value in of.items():
     say(f"one per cent more {name}: {value:+.3f} per cent of resistance{beside_it}")
 for note in found.notes:
     say(note)
+
+# %%
+differences, kinks = {}, []
+if args.reach is not None:
+    rest = {k: v for k, v in parameters.items() if k != "nu"}
+    wide = study.differentiate(
+        lambda m: scene({**rest, **m}), {"nu": parameters["nu"]}, epsilon=args.reach
+    )
+    kinks = wide.notes
+    for note in kinks:
+        say(note)
+    for h in (args.reach, args.reach / 10):
+        up, down = (
+            history_of(scene, {**parameters, "nu": parameters["nu"] * (1 + sign * h)})["resistance"]
+            for sign in (1, -1)
+        )
+        differences[h] = float(np.mean((up - down)[last]) / (2 * h * resistance.mean()))
+        say(f"differences of whole runs by changes of nu by {h:g}: {differences[h]:+.3f}")
 finish(args, {"factor": float(resistance.mean() / cu), "elasticities": of, "exact": exact,
-              "seconds": found.seconds})  # fmt: skip
+              "kinks": kinks, "differences": differences, "seconds": found.seconds})  # fmt: skip

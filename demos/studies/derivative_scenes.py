@@ -12,7 +12,8 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 from dolfinmpm.study import Run
 
-__all__ = ["CASES", "SAND", "by_whole_runs", "errors_of", "footing", "history_of", "sizes_of"]
+__all__ = ["CASES", "SAND", "SOFT", "by_whole_runs", "column", "errors_of", "footing"]
+__all__ += ["grid_of", "history_of", "in_time", "sizes_of"]
 
 # of Newton's method, so that differences of whole runs are exact
 TIGHT = 1e-12
@@ -75,7 +76,7 @@ def law_of(kind, m):
 
 def column(
     m, law="hencky", basis="gimp", dimension=2, stabilisation="ghost", steps=5, gravity=-10.0,
-    axisymmetric=False, **options,
+    axisymmetric=False, fine=1, tolerance=TIGHT, **options,
 ):  # fmt: skip
     """A block that leans on a wall and settles under its own weight.
 
@@ -85,11 +86,13 @@ def column(
         law, basis, dimension, stabilisation, axisymmetric: What it is made of.
         steps: Number of steps.
         gravity: Last acceleration (m/s²).
+        fine: Number of cells in place of one, in each direction.
+        tolerance: Of Newton's method.
         options: Options of `momentum`.
     """
     cells, end = ((6, 10), (1.5, 2.5)) if dimension == 2 else ((4, 4, 6), (1.0, 1.0, 1.5))
     size = (0.8, m.get("height", 1.9)) if dimension == 2 else (0.6, 0.7, 1.1)
-    grid = grid_of(end, cells)
+    grid = grid_of(end, [fine * n for n in cells])
     box = mpm.Box((0.0,) * dimension, size)
     points = mpm.fill(grid, box, 2, m["density"], axisymmetric=axisymmetric)
     V = mpm.Space(grid, basis)
@@ -103,7 +106,7 @@ def column(
         F = mpm.momentum(law_of(law, m), points, u, v, **options)
     F -= ufl.inner(points.density * g, v) * points.dX
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation, tolerance=TIGHT)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation, tolerance=tolerance)
     values = [(0.0,) * (dimension - 1) + (gravity * k / steps,) for k in range(1, steps + 1)]
     measured = {"motion": motion_of(points), "stress": stress_of(points)}
     return Run(problem, loaded(problem, g, values), measured)

@@ -178,10 +178,20 @@ class Region:
             yield first, last, out
         self._known |= {k for k in asked if k in self._kept}
 
-    def _kept_in(self, k: int, first: int, last: int, known: bool) -> KeptTangents | None:
-        """Intermediate results of the k-th operator's law at some groups' points, or None."""
+    def _kept_in(
+        self, k: int, first: int, last: int, known: bool, again: bool = False
+    ) -> KeptTangents | None:
+        """Intermediate results of the k-th operator's law at some groups' points, or None.
+
+        Args:
+            k: Number of the operator.
+            first, last: Range of the groups.
+            known: Whether the results are known already.
+            again: Whether they are read again, though no tangent has been asked for so far.
+        """
         law, s = self.terms.operators[k].law, self.part.stencils[0]
-        if not (self.terms.sloped and isinstance(law, KeepingLaw) and law.keeps):
+        wanted = known or again or self.terms.sloped
+        if not (wanted and isinstance(law, KeepingLaw) and law.keeps):
             return None
         if k not in self._kept:
             self._kept[k] = np.empty((s.order.size, law.keeps))
@@ -315,13 +325,15 @@ class Region:
         s, points, d = self.part.stencils[0], self._points, self._points.strain_dim
         chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
         for k in chosen:
+            known = k in self._known
             for first, last in self._chunks():
                 rows = s.order[s.groups[first] : s.groups[last]]
                 operand = self.operand(k, rows)
                 value = np.empty((rows.size, d * d))
                 slope = np.empty((rows.size, d * d, d * d))
                 by_mean = np.empty_like(value) if k in self.terms.by_mean else None
-                kept = self._kept_in(k, first, last, True) if k in self._known else None
+                # the end of the step reads them
+                kept = self._kept_in(k, first, last, known, again=True)
                 if self._ask(k, operand, value, slope, rows, by_mean, kept) >= 0:
                     # the end of the step reports the failure
                     return
@@ -331,6 +343,7 @@ class Region:
                 found = isotropic_moduli(slope.reshape(-1, d, d, d, d))
                 share = points["V0"][rows] / points["V"][rows]
                 out[rows] += share[:, None] * found
+            self._known |= {k} & self._kept.keys()
 
     def commit(self, new: dict[str, Array]) -> None:
         """Write the laws' fields at the end of the step into new arrays.

@@ -319,17 +319,20 @@ class _Builder:
 
     def _find_roots(self) -> None:
         """Add roots on other ranks to bases, for grids that are not rectangular. Collective."""
+        found = False
         for draft in self._drafts:
             constraining, basis = draft.field.constraining, draft.basis
             if constraining is None or not isinstance(basis, LinearBasis):
                 continue
+            found = True
             filled = constraining.measure(self._where, draft.full_stencils, basis)
             draft.roots = mesh_roots(basis, draft.nodes, filled, constraining.level(basis.degree))
             wider = basis.knowing(*draft.roots.unknown)
             for other in self._drafts:
                 # fields that share a basis must still share it
                 other.basis = wider if other.basis is basis else other.basis
-        self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis.nodes))
+        if found:
+            self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis.nodes))
 
     def _active(self, draft: _Draft, fixed: Fixed) -> ActiveField:
         """One field on the active cells, with points and markers together. Collective."""

@@ -168,13 +168,17 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
     M, G = points[FIELD].T
     # points without a law do not count
     weights = np.where(M > 0, where.volume, 0.0)
+    left, right = facets[:, 0], facets[:, 2]
+    if field.basis.grid_cells is not None:
+        left, right = field.basis.grid_cells[left], field.basis.grid_cells[right]
+    wanted = np.zeros(field.basis.cells.size, bool)
+    wanted[left] = wanted[right] = True
+    wanted = field.basis.cells.share_flags(wanted)
     sums = [
-        cell_sums(where, field.full_stencils, field.basis, w)
+        cell_sums(where, field.full_stencils, field.basis, w, wanted)
         for w in (weights, weights * M, weights * G)
     ]
-    if field.basis.grid_cells is not None:
-        sums = [s[field.basis.grid_cells] for s in sums]
-    weight, M, G = (s[facets[:, 0]] + s[facets[:, 2]] for s in sums)
+    weight, M, G = (s[left] + s[right] for s in sums)
     means = np.stack([M, G], axis=1)
     known = weight > 0
     means[known] /= weight[known, None]

@@ -33,9 +33,17 @@ def _share(low, high, cell, x, half, p):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _spread(order, groups, cell_start, cells, low, high, x, half, volume, out):
-    """Add each point's volume to the cells it overlaps, by the shares of its domain."""
+def _spread(order, groups, cell_start, cells, low, high, x, half, volume, wanted, out):
+    """Add each point's volume to the cells it overlaps, by the shares of its domain.
+
+    Groups of points without a wanted cell are left out, unless all cells are wanted (no mask).
+    """
     for g in range(groups.size - 1):
+        needed = wanted.size == 0
+        for at in range(cell_start[g], cell_start[g + 1]):
+            needed = needed or wanted[cells[at]]
+        if not needed:
+            continue
         single = cell_start[g + 1] - cell_start[g] == 1
         for position in range(groups[g], groups[g + 1]):
             p = order[position]
@@ -96,6 +104,7 @@ def cell_sums(
     stencils: Stencils,
     basis: LatticeBasis | LinearBasis | LeafBasis,
     amounts: Array,
+    wanted: npt.NDArray[np.bool_] | None = None,
 ) -> Array:
     """Sum of amounts at the points over each local cell, shape (cells,). Collective.
 
@@ -106,11 +115,14 @@ def cell_sums(
         stencils: Their stencils.
         basis: The basis of the stencils.
         amounts: Amounts at the points, shape (points,).
+        wanted: Mask of the cells whose sums are needed, on any rank, shape (cells,); None for all.
+            The sums of other cells are then not complete.
     """
     shared = basis.cells.vector()
     _spread(
         stencils.order, stencils.groups, stencils.cell_start, stencils.cells, *_boxes(basis),
-        where.x, where.half, np.ascontiguousarray(amounts), shared.array,
+        where.x, where.half, np.ascontiguousarray(amounts),
+        np.empty(0, bool) if wanted is None else wanted, shared.array,
     )  # fmt: skip
     if basis.cells.comm.size > 1:
         shared.scatter_reverse(InsertMode.add)

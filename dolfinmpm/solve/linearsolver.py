@@ -283,6 +283,26 @@ class LinearSolver:
         self.stuck = ksp.getConvergedReason() < 0
         return np.array(y.getArray(readonly=True))
 
+    def again(self, right: Array, guess: Array | None = None) -> Array:
+        """Solve once more with the last tangent of `solve`; factors are used directly. Collective.
+
+        Args:
+            right, guess: See `solve`.
+        """
+        method = self.method
+        if method is None or not method.factors or method.incomplete:
+            return self.solve(right, guess)
+        A, b, y = self.true, self.vector(), self.vector()
+        b.getArray()[:] = right
+        self._ksp.getPC().apply(b, y)
+        # Krylov's method repairs what factors of another matrix, or with too small pivots, leave
+        rest = A.createVecLeft()
+        A.mult(y, rest)
+        rest.axpy(-1.0, b)
+        if rest.norm() <= krylov.DIGITS * b.norm():
+            return np.array(y.getArray(readonly=True))
+        return self.solve(right, y.getArray(readonly=True))
+
     def forget(self) -> None:
         """Discard the solver after a failure, because PETSc cannot continue with it."""
         self.snes = self.matrix = self.true = None

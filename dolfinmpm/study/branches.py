@@ -1,9 +1,10 @@
 """Where runs at neighbouring parameters take different ways, and the mirror image of a run.
 
-A derivative follows from two runs at m ± ε Δm that take the same way: the same cells are active,
-the same points yield, touch and slip. If one run leaves the way of the run at m, the other run and
-the run at m give a one-sided difference. The run that left is then set to the mirror image of the
-other one, s(−) = 2 s − s(+), and goes on from there.
+A derivative follows from runs at m + ε Δm, or m ± ε Δm, that take the same way: the same cells are
+active, the same points yield, touch and slip. If one run leaves the way of the run at m, the other
+run and the run at m give a one-sided difference. The run that left is then set to the mirror image
+of the other one, s(−) = 2 s − s(+), and goes on from there. A second run that does not exist yet
+begins in this step, from the mirror image of the first run.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.assembly.state import Local, OfCells
+from dolfinmpm.assembly.state import HasState, Local, OfCells, gathered, given_back
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.quasistatic import QuasiStatic
 
-__all__ = ["Marks", "mirror", "points_of"]
+__all__ = ["Marks", "RunState", "mirror", "points_of"]
 
 Array = npt.NDArray[Any]
 
@@ -115,31 +117,59 @@ def differences(comm: MPI.Intracomm, a: Mapping[str, Any], b: Mapping[str, Any])
     return {name: int(n) for name, n in zip(names, sums) if n}
 
 
-def mirror(base: Sequence[Problem], good: Sequence[Problem], bad: Sequence[Problem]) -> bool:
+class RunState:
+    """A copy of the state of a run, without what its solvers have learnt. Collective.
+
+    Args:
+        problems: The problems of the run.
+
+    Attributes:
+        points: Fields of each set of points and markers by name, and the partition of the grid.
+        kept: What goes from step to step besides, by name, for each problem.
+        shares: Share of the next step at which a problem begins its substeps.
+    """
+
+    def __init__(self, problems: Sequence[Problem]):
+        self.points = [
+            ({name: p.fields.read(name).copy() for name in p.fields}, p.partition)
+            for p in points_of(problems)
+        ]
+        self.kept = [gathered(_keeping(problem)) for problem in problems]
+        self.shares = [getattr(problem, "share", 1.0) for problem in problems]
+
+
+def _keeping(problem: Problem) -> list[tuple[str, HasState]]:
+    """What has a state, without the solver."""
+    return [(name, one) for name, one in problem.keeping() if name != "solver"]
+
+
+def mirror(base: RunState, good: RunState, bad: Sequence[Problem]) -> bool:
     """Set the state of a run to the mirror image of another run about a third run. Collective.
 
     Args:
-        base: The problems of the run in the middle.
-        good: The problems of the run that is mirrored.
+        base: The run in the middle.
+        good: The run that is mirrored.
         bad: The problems that get the mirror image.
 
     Returns:
         Whether it could be done: points that have gone to different ranks cannot be mirrored.
     """
-    sets = list(zip(*(points_of(run) for run in (base, good, bad))))
-    comm = base[0].comm
-    alike = all(np.array_equal(a.fields.read("id"), b.fields.read("id")) for a, b, _ in sets)
-    if not comm.allreduce(alike, op=MPI.LAND):
+    alike = all(
+        np.array_equal(a["id"], b["id"]) for (a, _), (b, _) in zip(base.points, good.points)
+    )
+    if not bad[0].comm.allreduce(alike, op=MPI.LAND):
         return False
-    for a, b, c in sets:
-        for name in a.fields:
-            if name in b.fields:
-                c.fields[name] = _mirrored(a.fields.read(name), b.fields.read(name))
-        c.partition = a.partition
-        c.recount()
-    for problem, one, other in zip(base, good, bad):
-        known, more = problem.state(), one.state()
-        other.set_state({k: _mirrored(v, more.get(k, v)) for k, v in known.items()})
+    for (a, partition), (b, _), points in zip(base.points, good.points, points_of(bad)):
+        for name in a:
+            if name in b:
+                points.fields[name] = _mirrored(a[name], b[name])
+        points.partition = partition
+        points.recount()
+    for problem, known, more, share in zip(bad, base.kept, good.kept, base.shares):
+        given_back(_keeping(problem), {k: _mirrored(v, more.get(k, v)) for k, v in known.items()})
+        problem.here = None
+        if isinstance(problem, QuasiStatic):
+            problem.share = share
     return True
 
 

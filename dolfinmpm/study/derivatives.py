@@ -5,25 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import (
-    check_function,
-    check_kind,
-    coordinates,
-    number,
-    shown,
-    truth,
-)
+from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.study.branches import Marks, differences, mirror
-from dolfinmpm.study.scenerun import Run, Scene
-from dolfinmpm.study.tape import Reader, Tape, follow, record
+from dolfinmpm.study.branches import RunState
+from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
+from dolfinmpm.study.scenerun import Scene
+from dolfinmpm.study.tape import Tape, record
 
 __all__ = ["Derivatives", "differentiate", "sizes_of"]
 
@@ -32,8 +24,9 @@ Array = npt.NDArray[np.float64]
 _Found = dict[str, dict[str, list[Array]]]
 
 # Perturbation of a parameter as a share of its size, in central and in one-sided differences. Their
-# rounding is 1e-16 over it. The third derivative counts with its square, the second with itself.
-CENTRAL, ONE_SIDED = 1e-6, 3e-8
+# rounding is 1e-16 over it, times 10 to 100 from the solution. The third derivative counts with its
+# square, the second with itself.
+CENTRAL, ONE_SIDED = 1e-6, 1e-7
 # Ratio of the second perturbation of an estimate to the first one, and the estimated error from
 # which a derivative is doubtful
 _SECOND, _DOUBTFUL = 8.0, 1e-3
@@ -82,142 +75,12 @@ class Derivatives:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-class _Member:
-    """One run: that at the parameters, or one at perturbed parameters.
-
-    Args:
-        scene: The example.
-        parameters: Its parameters.
-    """
-
-    def __init__(self, scene: Scene, parameters: Mapping[str, float]):
-        run = scene(dict(parameters))
-        check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
-        self.run, self.problems = run, run.problems
-        for problem in self.problems:
-            if problem.history:
-                raise ParameterError(
-                    f"the scene has taken {len(problem.history)} steps before its run: give them "
-                    "among the steps of study.Run, so that derivatives follow them"
-                )
-        self.marks = Marks(self.problems)
-        self.taken = 0
-        self._steps = iter(run.steps)
-
-    @property
-    def comm(self) -> MPI.Intracomm:
-        return self.problems[0].comm
-
-    def advance(self) -> bool:
-        """Take the next step; returns whether there was one. Collective."""
-        self.marks.begin()
-        item = next(self._steps, self)
-        if item is not self and callable(item):
-            item()
-        self.taken += 1
-        return item is not self
-
-    def measure(self) -> dict[str, Array]:
-        """The figures in the present state. Collective."""
-        return {
-            name: coordinates(f"measured['{name}']", get())
-            for name, get in self.run.measured.items()
-        }
-
-
-class _Pair:
-    """Two runs at m ± ε Δm that follow the run at m, or one of them.
-
-    Args:
-        scene, parameters: The example, and its parameters.
-        name: The parameter.
-        scale: Its size Δm.
-        epsilon: The perturbation ε.
-        signs: Signs of the perturbations.
-        tape: Solutions of the run at m.
-    """
-
-    def __init__(
-        self, scene: Scene, parameters: Mapping[str, float], name: str, scale: float,
-        epsilon: float, signs: Sequence[int], tape: Tape,
-    ):  # fmt: skip
-        started = time.perf_counter()
-        self.name, self.epsilon = name, epsilon
-        m = parameters[name]
-        self.members: list[_Member] = []
-        self.readers: list[Reader] = []
-        for sign in signs:
-            member = _Member(scene, {**parameters, name: m + sign * epsilon * scale})
-            reader = Reader(tape, *self.readers)
-            for problem in member.problems:
-                if isinstance(problem, QuasiStatic):
-                    follow(problem, reader)
-            self.members.append(member)
-            self.readers.append(reader)
-        # what was met → numbers of the steps
-        self.notes: dict[str, list[int]] = {}
-        self.seconds = time.perf_counter() - started
-
-    def told(self) -> list[str]:
-        """Its notes, in words."""
-        return [
-            f"{self.name}, step {', '.join(map(str, at[:10]))}: {what} within the perturbation"
-            for what, at in self.notes.items()
-        ]
-
-    def advance(self, base: _Member, marks: Mapping[str, Any]) -> dict[str, Array]:
-        """Follow a step; returns the derivatives of the figures. Collective.
-
-        Args:
-            base: The run at m, after the step.
-            marks: What has happened in its step.
-        """
-        started = time.perf_counter()
-        leaves: list[list[str]] = []
-        for member, reader in zip(self.members, self.readers):
-            reader.begin()
-            if not member.advance():
-                raise ParameterError(
-                    f"the scene takes fewer steps at another {self.name}: let the number of steps "
-                    "be the same for all parameters"
-                )
-            found = differences(base.comm, marks, member.marks.end())
-            leaves.append([*reader.off, *(f"{n} {what}" for what, n in found.items())])
-        derivatives = self._differences(base, leaves)
-        self.seconds += time.perf_counter() - started
-        return derivatives
-
-    def _differences(self, base: _Member, leaves: Sequence[Sequence[str]]) -> dict[str, Array]:
-        """Differences of the figures over ε, one-sided where one run has left. Collective."""
-        for reason in {reason for reasons in leaves for reason in reasons}:
-            self.notes.setdefault(reason, []).append(base.taken)
-        plus, *others = (member.measure() for member in self.members)
-        middle = base.measure()
-        for name, value in plus.items():
-            if value.shape != middle[name].shape:
-                raise ParameterError(
-                    f"measured['{name}'] has the shape {middle[name].shape}, and {value.shape} at "
-                    f"another {self.name}: let it be the same for all parameters"
-                )
-        if not others:
-            return {k: np.asarray((plus[k] - middle[k]) / self.epsilon) for k in plus}
-        minus, left = others[0], [bool(reasons) for reasons in leaves]
-        if left[0] == left[1]:
-            return {k: np.asarray((plus[k] - minus[k]) / (2 * self.epsilon)) for k in plus}
-        good, bad = (self.members[k].problems for k in (left.index(False), left.index(True)))
-        sign = -1.0 if left[0] else 1.0
-        side = minus if left[0] else plus
-        if not mirror(base.problems, good, bad):
-            self.notes.setdefault("points are on other ranks", []).append(base.taken)
-        return {k: np.asarray(sign * (side[k] - middle[k]) / self.epsilon) for k in side}
-
-
 def differentiate(
     scene: Scene,
     parameters: Mapping[str, float],
     *,
     scales: Mapping[str, float] | None = None,
-    central: bool = True,
+    central: bool | None = None,
     epsilon: float | None = None,
     estimate: bool = False,
 ) -> Derivatives:
@@ -231,25 +94,33 @@ def differentiate(
     `dolfinmpm.study.tape`. Their difference is the derivative; no derivative of a law or a term
     is needed.
 
+    One run per parameter, at m + ε Δm, is exact to 1e-7 in elastic runs. If it takes another way
+    than the run itself, for example if another point yields, a run at m − ε Δm begins in this step
+    from the mirror image of the first run. Let each function of `steps` set all that it needs. One
+    run does not tell what happens at less than m; `central=True` does.
+
     Args:
         scene: Function of a dictionary of parameters that returns a `Run`.
         parameters: Name → value.
         scales: Name → size Δm of a parameter, in its unit. The derivative is then Δm ∂/∂m. Without
             a size, Δm is the value itself, so that derivatives are by ln m. A parameter whose value
             is zero needs a size.
-        central: Whether two runs per parameter, at m ± ε Δm, give the derivative. One run, at
-            m + ε Δm, takes half the time, and loses two digits.
-        epsilon: Perturbation of a parameter, as a share of Δm: by default 1e-6, and 3e-8 for one
-            run per parameter.
+        central: Whether two runs per parameter, at m ± ε Δm, begin at once. Their difference has
+            two more digits, and takes twice the time. By default only for estimates of errors, for
+            paths of `ArcLength`, and for steps that are an iterator, because a run that begins
+            later cannot leave them out.
+        epsilon: Perturbation of a parameter, as a share of Δm: by default 1e-7, and 1e-6 for two
+            runs per parameter.
         estimate: Whether to estimate errors by a second perturbation, 8 times as large, in twice
-            the time. A derivative that does not exist differs from one perturbation to another.
+            the time of two runs per parameter. A derivative that does not exist differs from one
+            perturbation to another.
 
     Returns:
         Figures and derivatives after each step.
 
     Raises:
         ParameterError: A parameter or a size is no number, or a size is zero; the scene returns no
-            `Run`, or has taken steps already.
+            `Run`, or has taken steps already, and does not say that their state is given.
 
     The settlement of a column under its weight falls as Young's modulus rises:
 
@@ -282,35 +153,31 @@ def differentiate(
     """
     check_function("scene", scene, "of a dictionary of parameters")
     sizes = sizes_of(parameters, {} if scales is None else scales)
-    truth("central", central)
+    if central is not None:
+        truth("central", central)
     truth("estimate", estimate)
-    epsilon = (CENTRAL if central else ONE_SIDED) if epsilon is None else epsilon
-    number("epsilon", epsilon, 0.0, 0.01)
+    if epsilon is not None:
+        number("epsilon", epsilon, 0.0, 0.01)
     started = time.perf_counter()
-    tape, base = Tape(), _Member(scene, parameters)
+    tape, base = Tape(), FollowedRun(scene, parameters)
     for problem in base.problems:
         if isinstance(problem, QuasiStatic):
             record(problem, tape)
-    signs = (1, -1) if central else (1,)
+    both = base.needs_both or estimate if central is None else central
+    first = (CENTRAL if both else ONE_SIDED) if epsilon is None else epsilon
+
+    def pair(name: str, epsilon: float) -> FollowingRuns:
+        def make(sign: int) -> FollowedRun:
+            moved = parameters[name] + sign * epsilon * sizes[name]
+            return FollowedRun(scene, {**parameters, name: moved}, quiet=True)
+
+        return FollowingRuns(make, name, epsilon, both, tape)
+
     sets = [
-        [_Pair(scene, parameters, k, sizes[k], times * epsilon, signs, tape) for k in parameters]
+        [pair(name, times * first) for name in sizes]
         for times in ((1.0, _SECOND) if estimate else (1.0,))
     ]
-    figures: dict[str, list[Array]] = {k: [] for k in base.run.measured}
-    found: list[_Found] = [{k: {m: [] for m in sizes} for k in figures} for _ in sets]
-    while True:
-        tape.clear()
-        if not base.advance():
-            break
-        marks = base.marks.end()
-        for k, value in base.measure().items():
-            figures[k].append(value)
-        for pairs, derivatives in zip(sets, found):
-            for pair in pairs:
-                for k, value in pair.advance(base, marks).items():
-                    derivatives[k][pair.name].append(value)
-    if base.taken == 1:
-        raise ParameterError("the scene takes no step: derivatives are those of a run")
+    figures, found = _followed(base, sets, tape)
     seconds = {name: sum(p.seconds for pairs in sets for p in pairs if p.name == name)
                for name in sizes}  # fmt: skip
     seconds["run"] = time.perf_counter() - started - sum(seconds.values())
@@ -324,6 +191,39 @@ def differentiate(
            for m, e in errors.items() if e > _DOUBTFUL],
         errors, seconds,
     )  # fmt: skip
+
+
+def _followed(
+    base: FollowedRun, sets: Sequence[Sequence[FollowingRuns]], tape: Tape
+) -> tuple[dict[str, list[Array]], list[_Found]]:
+    """Take all steps of a run, and let others follow each step. Collective.
+
+    Args:
+        base: The run.
+        sets: The runs that follow, for each perturbation and parameter.
+        tape: Solutions of the run.
+
+    Returns:
+        Figures, and their derivatives for each set.
+    """
+    figures: dict[str, list[Array]] = {k: [] for k in base.run.measured}
+    found: list[_Found] = [{k: {one.name: [] for one in pairs} for k in figures} for pairs in sets]
+    while True:
+        tape.clear()
+        may_begin = any(pair.may_begin for pairs in sets for pair in pairs)
+        before = RunState(base.problems) if may_begin else None
+        if not base.advance():
+            break
+        marks, middle = base.marks.end(), base.measure()
+        for k, value in middle.items():
+            figures[k].append(value)
+        for pairs, derivatives in zip(sets, found):
+            for one in pairs:
+                for k, value in one.advance(base, before, marks, middle).items():
+                    derivatives[k][one.name].append(value)
+    if base.taken == 1:
+        raise ParameterError("the scene takes no step: derivatives are those of a run")
+    return figures, found
 
 
 def _difference(name: str, one: _Found, two: _Found) -> float:

@@ -27,6 +27,8 @@ class Run:
             iterator that takes a step each time it is asked for the next item.
         measured: Name → function that returns a figure after a step: a number, or an array of the
             same shape for all parameters, equal on all ranks.
+        given: Whether the state before the first step is given, such as a state that
+            `problem.load` has read. It does not depend on the parameters then.
 
     One step of a bar:
 
@@ -48,6 +50,7 @@ class Run:
     problem: Problem | Sequence[Problem]
     steps: Iterable[Any]
     measured: Mapping[str, Callable[[], npt.ArrayLike]]
+    given: bool = False
 
     def __post_init__(self) -> None:
         for problem in self.problems:

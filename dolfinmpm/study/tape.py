@@ -74,7 +74,7 @@ class _BorderAt:
     def of(cls, border: Border, x: Array, linear: LinearSolver, comm: MPI.Intracomm) -> _BorderAt:
         """The equations at the unknowns x, with the tangent of a linear solver. Collective."""
         gap, by_x, by_y = border.gap(x)
-        columns = np.column_stack([linear.solve(-column) for column in border.slopes(x).T])
+        columns = np.column_stack([linear.again(-column) for column in border.slopes(x).T])
         system = comm.allreduce(by_x.T @ columns, op=MPI.SUM) + by_y
         return cls(border.value.copy(), gap, by_x, columns, system)
 
@@ -198,7 +198,7 @@ class Reader:
         assert stage.linear is not None
         known = None if self._opposite is None else self._opposite._changes.get(self._at)
         guess = None if known is None else -known
-        found = stage.linear.solve(stage.force - force, guess)
+        found = stage.linear.again(stage.force - force, guess)
         self._changes[self._at] = found
         return found
 

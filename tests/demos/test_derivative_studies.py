@@ -42,3 +42,22 @@ def test_a_slope_is_safer_with_a_shorter_correlation_length():
     far, near = study("slope_reliability", *options)["rows"]
     assert 1.5 < far["beta"] < near["beta"] - 0.1
     assert near["runs"] < 10
+
+
+@pytest.mark.long
+def test_the_modulus_that_an_indentation_tells():
+    found = study("indentation", "--cells", "5", "--steps", "2", "--no-plot")
+    assert found["by_dimensions"] < 1e-6
+    assert max(found["apart"].values()) < 1e-5
+    assert abs(found["missed"]) < 1e-5
+    assert not found["notes"]
+
+
+@pytest.mark.long
+def test_points_that_yield_otherwise_at_another_poissons_ratio():
+    found = study("cone_parameters", "--reach", "1e-4")
+    assert any("points start or stop to yield" in note for note in found["kinks"])
+    # between the kinks, differences of whole runs and the derivative agree
+    near = found["differences"]["1e-05"]
+    assert abs(near - found["elasticities"]["nu"]) < 1e-4
+    assert abs(found["differences"]["0.0001"] - near) > 0.01

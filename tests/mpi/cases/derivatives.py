@@ -12,12 +12,12 @@ from derivative_scenes import CASES as SCENES
 from derivative_scenes import grid_of, sizes_of
 
 
-def _found(*names):
+def _found(*names, central=None):
     """Figures and derivatives of some examples, with their notes."""
     figures = {}
     for name in names:
         scene, parameters = SCENES[name]
-        found = mpm.study.differentiate(scene, parameters, scales=sizes_of(name))
+        found = mpm.study.differentiate(scene, parameters, scales=sizes_of(name), central=central)
         assert not found.notes
         figures[name] = {
             k: {"values": values.tolist(), "derivatives": [d.tolist() for d in of.values()]}
@@ -34,7 +34,8 @@ def derivatives():
 
 def derivatives_in_contact():
     """A rigid body that rubs on a block, a layer that drains, and a bar that swings."""
-    return _found("contact with friction", "consolidation", "Newmark", "explicit")
+    # rounding differs from rank to rank, so two runs per parameter
+    return _found("contact with friction", "consolidation", "Newmark", "explicit", central=True)
 
 
 def sampling():

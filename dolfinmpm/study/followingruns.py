@@ -1,0 +1,200 @@
+"""A run of an example, and runs at neighbouring parameters that follow it step by step."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates
+from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError
+from dolfinmpm.solve.arclength import ArcLength
+from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.study.branches import Marks, RunState, differences, mirror
+from dolfinmpm.study.scenerun import Run, Scene
+from dolfinmpm.study.tape import Reader, Tape, follow
+
+__all__ = ["FollowedRun", "FollowingRuns"]
+
+Array = npt.NDArray[np.float64]
+
+
+class FollowedRun:
+    """One run: that at the parameters, or one at perturbed parameters.
+
+    Args:
+        scene: The example.
+        parameters: Its parameters.
+        quiet: Whether a state that it loads may be one of other parameters without a warning.
+    """
+
+    def __init__(self, scene: Scene, parameters: Mapping[str, float], quiet: bool = False):
+        with warnings.catch_warnings():
+            if quiet:
+                warnings.simplefilter("ignore", DifferentProblemWarning)
+            run = scene(dict(parameters))
+        check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
+        self.run, self.problems = run, run.problems
+        for problem in self.problems:
+            if problem.history and not run.given:
+                raise ParameterError(
+                    f"the scene has taken {len(problem.history)} steps before its run: give them "
+                    "among the steps of study.Run, so that derivatives follow them; or, if their "
+                    "state is a given one that no parameter changes, such as one that "
+                    "problem.load has read, say study.Run(..., given=True)"
+                )
+        self.marks = Marks(self.problems)
+        self.taken = 0
+        self._steps = iter(run.steps)
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the points."""
+        return self.problems[0].comm
+
+    @property
+    def needs_both(self) -> bool:
+        """Whether a derivative needs runs on both sides from the first step on.
+
+        Near the limit points of a path, second derivatives are large. And steps of an iterator
+        cannot be left out by a run that begins later.
+        """
+        paths = any(isinstance(problem, ArcLength) for problem in self.problems)
+        return paths or not isinstance(self.run.steps, Sequence)
+
+    def leave_out(self, steps: int) -> None:
+        """Leave out the next steps."""
+        for _ in range(steps):
+            next(self._steps)
+        self.taken += steps
+
+    def advance(self) -> bool:
+        """Take the next step; returns whether there was one. Collective."""
+        self.marks.begin()
+        item = next(self._steps, self)
+        if item is not self and callable(item):
+            item()
+        self.taken += 1
+        return item is not self
+
+    def measure(self) -> dict[str, Array]:
+        """The figures in the present state. Collective."""
+        return {
+            name: coordinates(f"measured['{name}']", get())
+            for name, get in self.run.measured.items()
+        }
+
+
+class FollowingRuns:
+    """A run at m + ε Δm that follows the run at m, and one at m − ε Δm, if need be.
+
+    The second run begins where the first one takes another way than the run at m.
+
+    Args:
+        make: Function of a sign that returns a run at m ± ε Δm.
+        name: The parameter.
+        epsilon: The perturbation ε.
+        both: Whether both runs begin at once.
+        tape: Solutions of the run at m.
+    """
+
+    def __init__(
+        self, make: Callable[[int], FollowedRun], name: str, epsilon: float, both: bool, tape: Tape
+    ):
+        started = time.perf_counter()
+        self.name, self.epsilon = name, epsilon
+        self._make, self._tape = make, tape
+        self.members: list[FollowedRun] = []
+        self.readers: list[Reader] = []
+        for sign in (1, -1)[: 1 + both]:
+            self._add(sign)
+        # what was met → numbers of the steps
+        self.notes: dict[str, list[int]] = {}
+        self.seconds = time.perf_counter() - started
+
+    def _add(self, sign: int) -> None:
+        """Let another run follow the tape."""
+        member, reader = self._make(sign), Reader(self._tape, *self.readers)
+        for problem in member.problems:
+            if isinstance(problem, QuasiStatic):
+                follow(problem, reader)
+        self.members.append(member)
+        self.readers.append(reader)
+
+    @property
+    def may_begin(self) -> bool:
+        """Whether the second run may begin in the next step."""
+        return len(self.members) == 1 and isinstance(self.members[0].run.steps, Sequence)
+
+    def told(self) -> list[str]:
+        """Its notes, in words."""
+        return [
+            f"{self.name}, step {', '.join(map(str, at[:10]))}: {what} within the perturbation"
+            for what, at in self.notes.items()
+        ]
+
+    def advance(
+        self, base: FollowedRun, before: RunState | None, marks: Mapping[str, Any],
+        middle: Mapping[str, Array],
+    ) -> dict[str, Array]:  # fmt: skip
+        """Follow a step; returns the derivatives of the figures. Collective.
+
+        Args:
+            base: The run at m, after the step.
+            before: Its state before the step; None if no second run may begin.
+            marks: What has happened in its step.
+            middle: Its figures after the step.
+        """
+        started = time.perf_counter()
+        own = RunState(self.members[0].problems) if self.may_begin else None
+        leaves = [self._follow(base, k, marks) for k in range(len(self.members))]
+        if own is not None and before is not None and leaves[0]:
+            self._add(-1)
+            self.members[1].leave_out(base.taken - 1)
+            mirror(before, own, self.members[1].problems)
+            leaves.append(self._follow(base, 1, marks))
+        derivatives = self._differences(base, leaves, middle)
+        self.seconds += time.perf_counter() - started
+        return derivatives
+
+    def _follow(self, base: FollowedRun, k: int, marks: Mapping[str, Any]) -> list[str]:
+        """Let a run follow a step; returns what it does otherwise than the run at m. Collective."""
+        member, reader = self.members[k], self.readers[k]
+        reader.begin()
+        if not member.advance():
+            raise ParameterError(
+                f"the scene takes fewer steps at another {self.name}: let the number of steps be "
+                "the same for all parameters"
+            )
+        found = differences(base.comm, marks, member.marks.end())
+        return [*reader.off, *(f"{n} {what}" for what, n in found.items())]
+
+    def _differences(
+        self, base: FollowedRun, leaves: Sequence[Sequence[str]], middle: Mapping[str, Array]
+    ) -> dict[str, Array]:
+        """Differences of the figures over ε, one-sided where one run has left. Collective."""
+        for reason in {reason for reasons in leaves for reason in reasons}:
+            self.notes.setdefault(reason, []).append(base.taken)
+        plus, *others = (member.measure() for member in self.members)
+        for name, value in plus.items():
+            if value.shape != middle[name].shape:
+                raise ParameterError(
+                    f"measured['{name}'] has the shape {middle[name].shape}, and {value.shape} at "
+                    f"another {self.name}: let it be the same for all parameters"
+                )
+        if not others:
+            return {k: np.asarray((plus[k] - middle[k]) / self.epsilon) for k in plus}
+        minus, left = others[0], [bool(reasons) for reasons in leaves]
+        if left[0] == left[1]:
+            return {k: np.asarray((plus[k] - minus[k]) / (2 * self.epsilon)) for k in plus}
+        good, bad = (self.members[k].problems for k in (left.index(False), left.index(True)))
+        sign = -1.0 if left[0] else 1.0
+        side = minus if left[0] else plus
+        if not mirror(RunState(base.problems), RunState(good), bad):
+            self.notes.setdefault("points are on other ranks", []).append(base.taken)
+        return {k: np.asarray(sign * (side[k] - middle[k]) / self.epsilon) for k in side}
