@@ -137,7 +137,7 @@ class Scene:
 
     def __init__(self, args):
         self.args, self.h, d, w = args, args.h, args.depth, args.half_width
-        self.share, h = Share(args), args.h
+        self.share = Share(args)
         ahead, behind = 2 * d, d - self.share.back
         self.start = behind + 1.5 * d
         length = self.start + args.distance + ahead + 1.5 * d

@@ -49,6 +49,7 @@ def beside(x, half, share, start):
     apart |= high[:, 0] < start + share.back + some
     front = start + share.front(low[:, 1], low[:, 2])
     ahead = ~apart & (x[:, 0] > front + some)
-    low[ahead & (low[:, 0] < front + half[:, 0]), 0] = front[ahead & (low[:, 0] < front + half[:, 0])]
+    cut = ahead & (low[:, 0] < front + half[:, 0])
+    low[cut, 0] = front[cut]
     kept = apart | ahead
     return 0.5 * (low + high)[kept], 0.5 * (high - low)[kept]
