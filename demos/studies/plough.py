@@ -82,7 +82,7 @@ class Input(Options):
 
     def _check(self):
         if self.refine:
-            self.fill(ghost=0.1, penalty=1.0, tolerance=1e-6)
+            self.fill(penalty=1.0, tolerance=1e-6)
         self.fill(penalty=1.25, tolerance=2e-4)
 
 
