@@ -23,6 +23,8 @@ __all__ = ["CellParts", "LatticeParts", "LeafParts", "Parts"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
+Lines = npt.NDArray[np.int32]
+Numbers = npt.NDArray[np.int64]
 
 
 def _owned(grid: Mesh) -> int:
@@ -160,7 +162,7 @@ class LeafParts(LatticeParts):
         self.key = _descent(leaves.low[rows], size, leaves.tree.levels, lattice.shape, n)
 
 
-def _descent(low: Rows, size: Rows, levels: int, shape: tuple[int, ...], n: int) -> Rows:
+def _descent(low: Lines, size: Lines, levels: int, shape: tuple[int, ...], n: int) -> Numbers:
     """First ancestor and code of each part of some leaves, shape (leaves n^d, 2).
 
     Args:
@@ -172,17 +174,17 @@ def _descent(low: Rows, size: Rows, levels: int, shape: tuple[int, ...], n: int)
     """
     gdim = low.shape[1]
     parts = np.array(list(itertools.product(range(n), repeat=gdim)))
-    at = (low.astype(np.int64) // size[:, None])[:, None] * n + parts
-    at = at.reshape(-1, gdim)
+    own: Numbers = low.astype(np.int64) // size[:, None]
+    at: Numbers = (own[:, None] * n + parts).reshape(-1, gdim)
     level = np.repeat(levels - np.log2(size).astype(np.int64), len(parts))
     # such a part can split as often again
     known = np.minimum(level, deepest(gdim) // 2)
-    code = np.zeros(len(at), np.int64)
+    code: Numbers = np.zeros(len(at), np.int64)
     for k in range(int(known.max(initial=0)))[::-1]:
         place = ((at >> k) & 1) @ (1 << np.arange(gdim)[::-1])
         code = np.where(k < known, children_of(code, place, gdim), code)
     # ancestors of two levels may have the same lowest corner
-    first = (at >> known[:, None]) << (known + levels - level)[:, None]
+    first: Numbers = (at >> known[:, None]) << (known + levels - level)[:, None]
     counts = tuple(n * c << levels for c in shape)
     number = np.ravel_multi_index(tuple(first.T), counts) * (levels + 1) + level - known
     return np.stack([number, code >> ROOT_BITS], axis=1)
