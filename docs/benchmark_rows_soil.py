@@ -35,6 +35,13 @@ def _steady_pull(answer: Answer) -> list[float]:
     ]  # fmt: skip
 
 
+def _plough_leaves(*answers: Answer) -> list[float]:
+    """Last pull (MN), heap, unknowns, iterations per step, halvings of every answer."""
+    return [f for a in answers for f in (
+        1e-6 * a["last_pull"], a["heap"], a["unknowns"], a["newton_iterations"] / len(a["pulls"]),
+        a["halvings"])]  # fmt: skip
+
+
 def _atlas(answer: Answer) -> list[float]:
     """Finished random problems (%) with ghost penalty, aggregation, no stabilisation; number of
     problems, and of wrong results."""
@@ -203,6 +210,12 @@ ROWS = (
         "minutes",
         ("mpirun -n 2 python3 demos/studies/plough.py --distance 20",), _steady_pull,
         "{:.3f}, {:.3f}, {:.3f}–{:.3f}, {:.2f}, {:.1f}, {:.0f}, {:.0f}"),
+    Row("plough-leaves", LEAVES, "the share with cells of 1/4, 1/8 m that follow it, dragged by "
+        "0.25 m in steps of 25 mm, in balance to 1e-6: last pull (MN), heap (m), unknowns, Newton "
+        "iterations per step, halved steps",
+        each("plough", "--refine --distance 0.25 --step 0.1",
+             "--refine --distance 0.25 --h 0.125"), _plough_leaves,
+        "; ".join(["{:.3f}, {:.2f}, {:.0f}, {:.1f}, {:.0f}"] * 2)),
     Row("nitsche", STEEL, "ring, fixed at its unfitted inner edge by Nitsche's method: order of "
         "the displacement with ghost penalty, with aggregation",
         each("nitsche_ring", "--cells 4,8,16 --positions 0",

@@ -179,9 +179,10 @@ say(
 #
 # With fields of their own it is what serves best (`--contact bodies --integrator newmark
 # --mass consistent --mapping flip`): the discs touch when they should, the kinetic energy is least
-# 0.517 s and 0.519 s after that, 0.031 and 0.039 of that at first, and they part with 0.883 and
-# 0.906 of their speed; on cells of R/16 0.519 s, 0.046 and 0.907. "pic" has 0.024 and 0.036, 0.877
-# and 0.905; a lumped mass with "accel" 0.047 and 0.839 on cells of R/4. Momentum stays to rounding.
+# 0.520 s and 0.526 s after that, 0.042 and 0.051 of that at first, and they part with 0.916 and
+# 0.908 of their speed; on cells of R/16 0.518 s, 0.0515 and 0.900. The penalty stores energy in
+# proportion to h: ten times as hard, it leaves 0.049 and 0.056 on cells of R/4 and R/8, and the
+# discs part with 0.901 and 0.899. Momentum stays to rounding.
 
 
 # %% [markdown]

@@ -14,6 +14,7 @@ from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm.basis.cells import BOX
 from dolfinmpm.basis.linear import kind_of
 from dolfinmpm.basis.refinement import Refinement
+from dolfinmpm.body.familyids import ROOT_BITS, children_of, deepest
 from dolfinmpm.body.pointlimits import check_amount
 from dolfinmpm.grid.lattice import Lattice
 from dolfinmpm.grid.leaves import leaves_of
@@ -22,6 +23,8 @@ __all__ = ["CellParts", "LatticeParts", "LeafParts", "Parts"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
+Lines = npt.NDArray[np.int32]
+Numbers = npt.NDArray[np.int64]
 
 
 def _owned(grid: Mesh) -> int:
@@ -122,6 +125,10 @@ class LatticeParts(Parts):
 class LeafParts(LatticeParts):
     """Boxes in the leaves of a refined space. Collective.
 
+    A part of a leaf is a descendant of a part of a larger cell, as if that had split. So its points
+    merge where leaves become larger. `key` has the number of the first ancestor, and the code of
+    the descendant, see `dolfinmpm.body.familyids`, shape (n, 2).
+
     Args:
         refinement: The refinement.
         grid: Background grid.
@@ -151,6 +158,36 @@ class LeafParts(LatticeParts):
             mine &= np.all((upper >= low) & (lower <= high), axis=1)
         rows = np.flatnonzero(mine)
         self._divide(lower[rows], upper[rows], cells[rows], rows.astype(np.int64), n)
+        size = leaves.tree.size[leaves.node][rows]
+        self.key = _descent(leaves.low[rows], size, leaves.tree.levels, lattice.shape, n)
+
+
+def _descent(low: Lines, size: Lines, levels: int, shape: tuple[int, ...], n: int) -> Numbers:
+    """First ancestor and code of each part of some leaves, shape (leaves n^d, 2).
+
+    Args:
+        low, size: Lowest lines and sizes of the leaves on the finest level, shapes (leaves, d) and
+            (leaves,).
+        levels: Largest number of times that a cell of the grid is halved.
+        shape: Numbers of cells of the grid.
+        n: Parts per leaf and direction.
+    """
+    gdim = low.shape[1]
+    parts = np.array(list(itertools.product(range(n), repeat=gdim)))
+    own: Numbers = low.astype(np.int64) // size[:, None]
+    at: Numbers = (own[:, None] * n + parts).reshape(-1, gdim)
+    level = np.repeat(levels - np.log2(size).astype(np.int64), len(parts))
+    # such a part can split as often again
+    known = np.minimum(level, deepest(gdim) // 2)
+    code: Numbers = np.zeros(len(at), np.int64)
+    for k in range(int(known.max(initial=0)))[::-1]:
+        place = ((at >> k) & 1) @ (1 << np.arange(gdim)[::-1])
+        code = np.where(k < known, children_of(code, place, gdim), code)
+    # ancestors of two levels may have the same lowest corner
+    first: Numbers = (at >> known[:, None]) << (known + levels - level)[:, None]
+    counts = tuple(n * c << levels for c in shape)
+    number = np.ravel_multi_index(tuple(first.T), counts) * (levels + 1) + level - known
+    return np.stack([number, code >> ROOT_BITS], axis=1)
 
 
 class CellParts(Parts):

@@ -24,6 +24,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import require_axis, ring
 from dolfinmpm.body.cellparts import CellParts, LatticeParts, LeafParts, Parts
 from dolfinmpm.body.exchange import numbers_in_order
+from dolfinmpm.body.familyids import ROOT_BITS
 from dolfinmpm.body.location import bounds, destinations
 from dolfinmpm.body.pointchecks import require_grid
 from dolfinmpm.body.pointlimits import check_amount, check_per_cell
@@ -36,6 +37,7 @@ from dolfinmpm.grid.userfunctions import call_function
 __all__ = ["fill"]
 
 Array = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.int64]
 Density = float | Callable[[Array], Array]
 
 # Overlaps below this share of a part of a cell come from rounding
@@ -85,7 +87,8 @@ def fill(
             x[0] = 0. Volumes are then 2π r times the areas of the parts. Masses, forces and
             energies are for the whole body.
         refine: A refined space, or None. The leaves that it wants now are divided instead of the
-            cells of the grid.
+            cells of the grid. Points in leaves are families, as if larger points had split, see
+            `mpm.families`.
 
     Raises:
         ParameterError: An argument is not valid, or so few points cannot have the exact volume.
@@ -130,7 +133,7 @@ def fill(
     rho: Any = density
     if callable(density):
         rho = call_together(grid.comm, lambda: call_function("density", density, x))
-    ids = numbers_in_order(grid.comm, key[:, None])
+    ids = _numbers(grid.comm, key)
     whole = shape.volume
     if axisymmetric:
         volume = ring(x[:, 0], volume)
@@ -145,6 +148,14 @@ def fill(
         points.shape_volume = float(whole)
         points.volume_error = (total - points.shape_volume) / points.shape_volume
     return points
+
+
+def _numbers(comm: MPI.Intracomm, key: Numbers) -> Numbers:
+    """Numbers of points in the order of the keys of their parts. Collective."""
+    if key.ndim == 1:
+        return numbers_in_order(comm, key[:, None])
+    first, own = np.unique(key[:, 0], return_inverse=True)
+    return numbers_in_order(comm, first[:, None])[own] + (key[:, 1] << ROOT_BITS)
 
 
 def _check_arguments(shape: Any, per_cell: Any, aligned: Any, tag: Any) -> None:

@@ -41,6 +41,17 @@ def test_plough():
 
 
 @pytest.mark.long
+def test_plough_with_cells_that_follow_it(tmp_path):
+    """The pull is that on a graded grid, in balance to 1e-6."""
+    found, graded = figures(tmp_path, "plough", *PLOUGH, "--refine", "--no-plot"), ploughed()
+    pull = found["pulls"]
+    assert abs(found["at_rest"]) < 0.01 * pull[-1]
+    assert pull[1:] == pytest.approx(graded["pulls"][1:], rel=0.15)
+    assert found["newton_iterations"] <= 8 * len(pull)
+    assert found["halvings"] == 0
+
+
+@pytest.mark.long
 def test_plough_on_two_ranks(tmp_path):
     one, two = ploughed(), figures(tmp_path, "plough", *PLOUGH, "--no-plot", ranks=2)
     assert two["pulls"] == pytest.approx(one["pulls"], rel=1e-4, abs=10.0)

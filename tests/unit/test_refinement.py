@@ -123,6 +123,30 @@ def test_fill_by_leaves_has_the_volume_of_the_shape():
         assert points["l"][left].max() <= 0.0625 * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_points_of_leaves_are_families_that_merge(gdim):
+    """A fill of leaves is what splits of larger points would have made."""
+    grid, middle = lattice(gdim), np.full((gdim, 1), 1.3)
+
+    def size(x):
+        return np.maximum(0.13, 0.5 * np.linalg.norm(x - middle, axis=0) - 0.1)
+
+    V = mpm.Space(grid, "gimp", refine=size, levels=2)
+    box = mpm.Box((0,) * gdim, (4,) * gdim)
+    points = mpm.fill(grid, box, per_cell=2, density=1e3, refine=V)
+    coarse = mpm.fill(grid, box, per_cell=2, density=1e3)
+    assert len(set(points["id"])) == len(points) > len(coarse)
+    level = np.log2(0.25 / points["l"][:, 0])
+    np.testing.assert_array_equal(mpm.families(points).level, level)
+    assert level.max() == 2
+    for _ in range(2):
+        assert mpm.merge(points, 1e-12).count > 0
+    assert mpm.families(points).level.max() == 0
+    merged, whole = (np.lexsort(of["x"].T.round(9)) for of in (points, coarse))
+    for name in ("x", "l", "V"):
+        np.testing.assert_allclose(points[name][merged], coarse[name][whole], rtol=1e-14)
+
+
 def gravity_column(cells=4, **options):
     """Mean settlement of a block under its weight."""
     grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2)
