@@ -17,7 +17,8 @@ What comes out with `--refine --h 0.25`, means of the last 2 R of the way, in % 
 
 Hence the way and the law decide, and the resistance after 8 R is not the steady one. For I_r = 100
 it ends 0.7 % below Lu's. For I_r = 300 it ends 7 % above, and grows by 0.2 % per R. In cells of R/8
-Tresca's clay of I_r = 100 finds +6.0 % after 8 R and +8.8 % after 14 R.
+Tresca's clay of I_r = 100 finds +6.0 % after 8 R and +8.8 % after 14 R; von Mises' clay finds after
+8 R -5.0 % by shear, +6.9 % by compression, and +7.4 % by compression for I_r = 50.
 
 Other changes move the resistance for I_r = 100 after 8 R by less: a start at 12 R by +0.4 %, a
 ground twice as wide and deep by -0.2 %, cells that grow by 0.15 instead of 0.35 by -0.2 %, and fine
