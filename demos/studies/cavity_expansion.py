@@ -25,7 +25,7 @@ started = time.perf_counter()
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
-from options import BASES, Options, natural, option, positive, switch
+from options import BASES, Options, natural, option, positive
 from scene import finish, say, solver_figures
 from shells import HenckyShell, TrescaCavity, shell
 
@@ -57,7 +57,7 @@ class Input(Options):
     points_per_cell: int = natural(2, "in each direction")
     basis: str = option("bspline2", choices=BASES)
     configuration: str = option("total", choices=("total", "updated"))
-    fbar: str | None = switch(None, "against locking; by the law")
+    fbar: str | None = option(None, "against locking; by the law", choices=("on", "off", "volumes"))
     stabilisation: str = option("ghost", choices=("ghost", "aggregation"))
     steps: int = natural(20, "of equal growth of the cavity")
 
@@ -102,7 +102,8 @@ points = body.points
 V = mpm.Space(points.grid, args.basis, configuration=args.configuration)
 u, v = V.increment, V.test
 pressure = fem.Constant(points.grid, 1.0)
-F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on") + body.inner.pressure(pressure, u, v)
+fbar = args.fbar if args.fbar == "volumes" else args.fbar == "on"
+F = mpm.momentum(law, points, u, v, fbar=fbar) + body.inner.pressure(pressure, u, v)
 if infinite:
     stiffness = 2 * exact.k * args.rigidity_index / b
     moved = body.outer.position(u) - points.x0 - body.outer.offset

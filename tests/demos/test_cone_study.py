@@ -35,6 +35,19 @@ def test_cells_that_follow_the_tip(tmp_path):
     assert (tmp_path / "cone_penetration_tresca_axisymmetric.png").stat().st_size > 0
 
 
+def test_the_law_of_clay_decides(tmp_path):
+    """Von Mises' clay that is as strong in simple shear as Tresca's carries less at the cone."""
+    options = "--refine", "--h", "0.5", "--step", "0.1", "--depth", "6.5", "--width", "15"
+    laws = "tresca", "shear", "compression"
+    found = [run("cone_penetration", *options, "--criterion", law, "--no-plot") for law in laws]
+    tresca, shear, compression = (one["factor_late"] for one in found)
+    assert shear < 0.97 * tresca
+    assert compression == pytest.approx(tresca, rel=0.05)
+    for one in found:
+        assert one["factor_late"] == pytest.approx(np.mean(one["factors"]))
+        assert one["factor_lu"] * (1 + one["late_from_lu"]) == pytest.approx(one["factor_late"])
+
+
 @pytest.mark.parametrize(
     "stabilisation", ["ghost", pytest.param("aggregation", marks=pytest.mark.long)]
 )

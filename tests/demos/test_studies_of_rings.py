@@ -49,6 +49,14 @@ def test_linear_functions_are_of_second_order(shape):
     assert np.log2(coarse / fine) > 1.5
 
 
+def test_a_cavity_in_clay_whose_points_keep_mean_volumes():
+    """Points that follow the mean volumes of F-bar find the exact pressure."""
+    options = "--law tresca --ratio 2 --configuration updated --fbar volumes --rigidity-index 50"
+    figures = cavity(options)
+    assert figures["pressure_exact"] == pytest.approx(4.629335, rel=1e-6)
+    assert error(figures) < 5e-3
+
+
 def test_a_hencky_sphere_past_its_limit_point(tmp_path):
     figures = run(
         "cavity_expansion", "--shape", "sphere", "--ratio", "2", "--steps", "8", "--h", "0.25",
