@@ -144,7 +144,7 @@ def test_ghost_penalty_where_all_cells_differ():
 def check_ghost(problem):
     """The matrix of a ghost penalty is that of its definition, for each component."""
     assert on_splines(problem)
-    block = problem.form.grid._jacobian[0, 0]
+    block = problem.form.grid._jacobian[0, 0, 0]
     assert isinstance(block, FacetBlock)
     A, gdim = matrix_of(problem), problem.points.gdim
     assert len(np.unique(block.facets.couplings.direction)) == gdim
@@ -162,7 +162,7 @@ def check_ghost(problem):
 @pytest.mark.parametrize(("basis", "gdim"), [("bspline2", 1), ("bspline2", 2), ("bspline3", 1)])
 def test_ghost_penalty_by_dolfinx(basis, gdim, monkeypatch):
     problem = check(monkeypatch, lambda: problem_of(box(*CELLS[gdim]), basis, ghost))
-    block = problem.form.grid._jacobian[0, 0]
+    block = problem.form.grid._jacobian[0, 0, 0]
     # borders of the grid on all sides, and insides
     kinds = [np.unique(cells).size for cells, _ in block._kinds]
     assert kinds == [3 if basis == "bspline2" else 5] * gdim
@@ -176,7 +176,7 @@ def test_linear_functions_by_dolfinx(basis, gdim, monkeypatch):
     problem = check(monkeypatch, lambda: problem_of(grid, basis, ghost), 1e-13)
     check(monkeypatch, lambda: problem_of(grid, basis, one_sided), 1e-13)
     # one class a direction, or two where DOLFINx numbers the upper cell first
-    block = problem.form.grid._jacobian[0, 0]
+    block = problem.form.grid._jacobian[0, 0, 0]
     assert gdim <= len(block.facets.examples) <= 2 * gdim
 
 
@@ -184,7 +184,7 @@ def test_linear_functions_by_dolfinx(basis, gdim, monkeypatch):
 def test_what_the_classes_leave_out(gdim):
     """DOLFINx integrates over fewer facets than there are."""
     problem = problem_of(box(*CELLS[gdim]), "bspline2", ghost)
-    block = problem.form.grid._jacobian[0, 0]
+    block = problem.form.grid._jacobian[0, 0, 0]
     assert 0 < len(block.facets.examples) <= problem.here.ghost_facets
     assert gdim == 1 or len(block.facets.examples) < problem.here.ghost_facets
     assert block.facets.kind.size == problem.here.ghost_facets
@@ -205,7 +205,7 @@ def test_a_term_of_ones_own(basis, gdim, monkeypatch):
     # in the smallest grid every cell is near borders on both sides
     cells = (4, 4, 3) if gdim == 3 and basis == "bspline3" else CELLS[gdim]
     problem = check(monkeypatch, lambda: problem_of(box(*cells), basis, one_sided))
-    block = problem.form.grid._jacobian[0, 0]
+    block = problem.form.grid._jacobian[0, 0, 0]
     A = matrix_of(problem)
     assert np.abs(A - A.T).max() > 0.05 * np.abs(A).max()
     assert all(t.shape[-1] == gdim**2 for t in block._kept.tensors.values())
@@ -267,7 +267,7 @@ def test_points_that_move(monkeypatch):
     """New facets and classes come, tensors of the old ones stay."""
     grid = box(12, 9)
     problem = problem_of(grid, "bspline2", ghost)
-    block = problem.form.grid._jacobian[0, 0]
+    block = problem.form.grid._jacobian[0, 0, 0]
     before = dict(block._kept.tensors)
     problem.points["x"][:] = problem.points["x"] * [0.9, 0.8] + [0.6, 0.2]
     problem.activate()
