@@ -157,6 +157,7 @@ class Term:
         symmetric: Whether its tangent is symmetric.
         definite: Whether its tangent leaves one that is positive definite so.
         fusable: Whether fused explicit steps know it.
+        holds_faces: Whether it resists a shift of the faces of points, F R.
     """
 
     points: MaterialPoints
@@ -167,6 +168,7 @@ class Term:
     symmetric: bool = True
     definite: bool = True
     fusable: bool = False
+    holds_faces: bool = False
 
     @property
     def sides(self) -> Sequence[tuple[Any, Any]]:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from ufl.algorithms import extract_coefficients
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, truth
 from dolfinmpm._platform.collective import collective
@@ -16,12 +17,12 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.grid.constants import begin_at_zero, own_constant
 from dolfinmpm.grid.lattice import cell_size
 
-__all__ = ["RigidFooting"]
+__all__ = ["RigidFooting", "seats"]
 
 Array = npt.NDArray[np.float64]
 
@@ -173,6 +174,13 @@ class RigidFooting(ReadOnce):
     def load(self) -> float:
         """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
         return float(-self.reaction() @ self.surface.normal)
+
+
+def seats(form: ufl.Form) -> list[str]:
+    """Names of the fields in a form in which footings keep where the faces were."""
+    fields = [c for c in extract_coefficients(form) if isinstance(c, PointField)]
+    surfaces = {f.name.removesuffix("_offset") for f in fields if f.name.endswith("_offset")}
+    return sorted(f.name for f in fields if f.name.partition("_seat")[0] in surfaces)
 
 
 def _largest_cell(points: MaterialPoints) -> float:

@@ -39,6 +39,7 @@ class SpringBed(Term):
     """
 
     kind = "springs"
+    holds_faces = True
 
     def __init__(self, surface: Surface, u: Any, stiffness: float):
         self.points, self.surface, self.stiffness = surface.points, surface, stiffness

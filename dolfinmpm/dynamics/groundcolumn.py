@@ -65,7 +65,7 @@ class GroundColumn:
     >>> points = mpm.fill(grid, mpm.Box((3, 0), (4, 4)), per_cell=2, density=1.0)
     >>> V = mpm.Space(grid, "gimp")
     >>> F = mpm.momentum(mpm.materials.Hencky(2.0, 0.0), points, V.increment, V.test)
-    >>> points.add_field("velocity", (2,), "m/s")
+    >>> velocity = points.add_field("velocity", (2,), "m/s")
     >>> points["velocity"] = (1e-3, 0.0)
     >>> bcs, sides = mpm.fixed(V, "bottom"), mpm.tied(V, period=1.0)
     >>> swings = mpm.Newmark(F, V.increment, points, bcs, prolongation=sides, ghost_mass=0.0)

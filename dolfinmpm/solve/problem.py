@@ -48,6 +48,7 @@ from dolfinmpm.solve.arguments import (
     stabilisations_of,
 )
 from dolfinmpm.solve.description import summary
+from dolfinmpm.solve.heldfaces import refuse_held_faces
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import (
@@ -138,6 +139,7 @@ class Problem(ReadOnce):
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
         check_field_tags(self.fields, self.form)
+        refuse_held_faces(form, self.form)
         check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
         rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
         self.bodies = RigidBodies(rigid, points.grid)

@@ -262,7 +262,7 @@ def test_advice_and_loads_of_a_failed_step():
         assert f"{settlement} = 0.25" in text
         # the penalty and the size of cells are the library's own
         assert "constants gravity" in text or f"constants {settlement}" in text
-        assert text.count(" = ") == text.split("with parts")[0].count(" = ") + text.count("det")
+        assert text.count(" = ") == text.split("with substeps")[0].count(" = ") + text.count("det")
         assert ("or add stabilisation" in text) is not stabilised
         g.value[1], settlement.value = -0.1, 0.0
 
