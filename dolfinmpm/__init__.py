@@ -1,10 +1,14 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
+import importlib as _importlib
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
+
 from dolfinmpm._platform.garbagecollector import idle_collector as _idle_collector
 
 with _idle_collector():
     from dolfinmpm._platform import startup as _startup  # noqa: F401 # isort: skip
-    from dolfinmpm import materials, study
+    from dolfinmpm import materials
     from dolfinmpm._platform import errors
     from dolfinmpm._platform.installation import info
     from dolfinmpm._platform.stages import measure_stages
@@ -60,6 +64,9 @@ with _idle_collector():
     )
     from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
     from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid, start_at_rest
+
+if _TYPE_CHECKING:
+    from dolfinmpm import study
 
 __version__ = "0.1.0"
 
@@ -152,3 +159,15 @@ __all__ = [
     "where_it_yields",
     "zoned_line",
 ]
+
+
+def __getattr__(name: str) -> _Any:
+    """Import `study` where it is first used, because most runs do without its modules."""
+    if name == "study":
+        return _importlib.import_module("dolfinmpm.study")
+    raise AttributeError(f"module 'dolfinmpm' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Names for completion, with those that are not imported yet."""
+    return sorted({*globals(), "study"})

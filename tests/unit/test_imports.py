@@ -13,6 +13,7 @@ from dolfinmpm._platform.garbagecollector import idle_collector
 
 def test_libraries_that_few_scenes_use_are_loaded_by_these():
     names = "scipy.sparse", "scipy.spatial", "scipy.linalg", "matplotlib", "h5py", "meshio"
+    names += ("dolfinmpm.study",)
     code = f"import sys, dolfinmpm; print([n for n in {names} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
