@@ -109,7 +109,7 @@ def adjacency_list(links, offsets) -> Any:
     """The lists that DOLFINx's mesh creation takes from a partitioner.
 
     Args:
-        links: What each list holds, one behind the other, int32.
+        links: Entries of all lists, one after the other, int32.
         offsets: Where each list begins, and the end, int32.
     """
     made = graph.adjacencylist(links, offsets)

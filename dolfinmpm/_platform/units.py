@@ -39,7 +39,7 @@ def warn_of_radians(what: str, angle: float) -> bool:
     """Warn on rank 0 if an angle (degrees) is so small that it looks like one in radians.
 
     Args:
-        what: What it is the angle of.
+        what: Name of the angle.
         angle: The angle (degrees).
 
     Returns:
@@ -60,9 +60,9 @@ def in_radians(what: str, value: Any, low: float = -math.inf, high: float = math
     """An angle in radians from one in degrees; warns if it looks like one in radians.
 
     Args:
-        what: What it is the angle of.
+        what: Name of the angle.
         value: The angle (degrees).
-        low, high: What it must be between (degrees).
+        low, high: Bounds (degrees).
 
     Raises:
         ParameterError: It is no finite number, or not between these.

@@ -38,7 +38,7 @@ class NewState:
         moves: Whether the points move.
         to: Where the points go, or None if they stay in their cells.
         beside: The same of the markers of boundaries: markers, new values, where they go.
-        moved: How far markers move (m), shape (markers, gdim), by the number of the markers.
+        moved: Displacements of markers in the step (m), shape (markers, gdim), by the number of the markers.
     """
 
     fields: dict[str, Array]
@@ -150,8 +150,8 @@ class Term:
 
     Attributes:
         points: The material points that it acts on.
-        integrand: What stands for it in a weak form, see `as_form`.
-        kind: What messages call it.
+        integrand: Its symbol in a weak form, see `as_form`.
+        kind: Its name in messages.
         layers: Layers of cells around the cells of a rank that the term looks at, at least.
         tags: Tags of the points that it acts on, or None for all.
         symmetric: Whether its tangent is symmetric.

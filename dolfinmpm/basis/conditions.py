@@ -49,9 +49,9 @@ class Condition:
         space: Space of the field.
         nodes: Local nodes, shape (n,).
         component: Component of the field.
-        value: What is prescribed, see `kind`: a number, a DOLFINx constant, or one number per
+        value: Prescribed value, see `kind`: a number, a DOLFINx constant, or one number per
             node, shape (n,).
-        where: What it says in messages.
+        where: Its place in messages.
         velocity: Velocity that it is to have (m/s) at a time (s), or None; steps in time then set
             the value, a constant.
         kind: "increment" of every step, of which parts of a step have a share; "value" of the

@@ -35,29 +35,28 @@ _STIFFNESS = 1e4
 class RigidFooting(ReadOnce):
     """A rigid footing that is pressed into a face of the body by a given settlement.
 
-    The faces of the surface's points are held to the footing's motion by a penalty on
-    their *total* gap, g = n·(x_s − X_s) + s, where X_s is where the face was when the
-    footing was made: a gap that a step leaves is seen by the next one, so that nothing
-    accumulates. A rough footing holds the faces sideways as well, a smooth one does not.
-    Both keep hold of what they touch: they pull when they are lifted.
+    A penalty holds the faces of the surface's points at the footing. It acts on the total gap
+    g = n·(x_s − X_s) + s, with the first place X_s of the face and the settlement s. So the next
+    step sees a gap that one step leaves, and errors do not add up. A rough footing holds the faces
+    sideways too; a smooth one does not. Both stay in contact, and pull when they are lifted.
 
-    Adds to the points the field `<surface>_seat` (m), where the faces were; with a number
-    behind it if the surface had a footing before.
+    The points get the field `<surface>_seat` (m), the first places of the faces. Its name ends with
+    a number if the surface had a footing before.
 
     Args:
-        surface: What is under the footing, with an axis as its normal.
-        settlement: How far the footing has moved into the body (m) since it was made,
-            against the outward normal: a scalar DOLFINx constant. What it holds already the first
-            step brings about. In parts of a step the solver scales it like any load.
+        surface: The surface under the footing, with an axis as its normal.
+        settlement: Motion of the footing into the body (m) since it was made, against the outward
+            normal: a scalar DOLFINx constant. A value that it has already acts in the first step.
+            Substeps take a share of its change, as of any load.
         rough: Whether the faces are held sideways too.
-        E: Young's modulus of the body (Pa), for the default stiffness 10⁴ E/h, h being
-            the size of the largest cell.
-        stiffness: Penalty (Pa/m), instead.
+        E: Young's modulus of the body (Pa), for the default stiffness 10⁴ E/h. h is the size of
+            the largest cell.
+        stiffness: Penalty (Pa/m), instead of E.
 
     Raises:
-        ParameterError: The surface has no axis for its normal, the settlement is not a
-            scalar constant, or neither E nor the stiffness is positive and finite; or an
-            argument is assigned to later.
+        ParameterError: The surface has no axis for its normal, the settlement is not a scalar
+            constant, neither E nor the stiffness is positive and finite, or an argument is
+            assigned to later. A problem raises it if a law has fbar="volumes".
 
     A footing of 2 m, 1 cm down:
 
@@ -154,7 +153,7 @@ class RigidFooting(ReadOnce):
         return surface.term(-self._k * gap, v, name, once=True)
 
     def gaps(self) -> Array:
-        """What the penalty leaves of the gaps (m), shape (points on this rank, gdim)."""
+        """Gaps that the penalty leaves (m), shape (points on this rank, gdim)."""
         n = self.surface.normal
         gap = self._faces() - self.surface.points[self._seat.name]
         gap += float(self.settlement.value) * n

@@ -32,8 +32,8 @@ def no_field(name: Any, known: Iterable[str]) -> str:
     """The message.
 
     Args:
-        name: What was asked for.
-        known: What there is.
+        name: Name that was asked for.
+        known: Names that exist.
     """
     listed = list(known)
     text = f"material points have no field {shown(name)}; they have {', '.join(listed)}"

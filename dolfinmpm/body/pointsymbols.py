@@ -40,7 +40,7 @@ class PointSymbols:
         order: Number of the points among the points of their grid.
         dX, dx, dS, dC, dt, inertia: See `MaterialPoints`.
         fields: Fields by name.
-        declarations: What laws in forms need of the points, by the number in the metadata of their
+        declarations: Data of the points that laws in forms need, by the number in the metadata of their
             measures.
         laws: Laws whose parameters vary from point to point, each with a field of its own.
     """

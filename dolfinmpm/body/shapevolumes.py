@@ -63,7 +63,7 @@ def pieces_inside(parts: Parts, shape: Shape) -> Pieces:
 
     Args:
         parts: Parts of cells.
-        shape: What they are to be inside of.
+        shape: The shape that they must lie in.
     """
     gdim = parts.x.shape[1]
     some, cut = np.empty(len(parts.x), bool), np.empty(len(parts.x), bool)

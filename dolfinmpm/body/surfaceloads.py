@@ -24,7 +24,7 @@ def vector_of(points: MaterialPoints, what: str, given: Any) -> Expr:
     Args:
         points: Material points that it acts on.
         what: Name of the argument.
-        given: What was given.
+        given: The argument.
 
     Raises:
         ParameterError: It is no vector of the dimension of space, or of another grid.
@@ -54,7 +54,7 @@ def pressure_of(points: MaterialPoints, p: Any) -> Expr:
 
     Args:
         points: Material points that it acts on.
-        p: What was given.
+        p: The argument.
 
     Raises:
         ParameterError: It is no scalar, or of another grid.

@@ -66,7 +66,7 @@ class SplitForm:
         carried: Fields that terms carry from step to step, or that are set when a step begins.
         boundaries: Terms over boundaries that do not fit the grid.
         terms: Terms that are no quadrature of its points, see `dolfinmpm.assembly.term`.
-        tagged: What of it is for points of some tags only.
+        tagged: The part for points of some tags only.
     """
 
     regions: list[PointTerms]

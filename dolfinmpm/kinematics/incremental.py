@@ -191,7 +191,7 @@ class Incremental(StrainFormulation):
         """A function of DDSDDE at the present state without a strain increment.
 
         Args:
-            size: How many numbers the function has per point.
+            size: Number of values of the function per point.
             measure: Function of DDSDDE (Pa), shape (n, 6, 6) or (n, 4, 4), with results of the
                 shape (n, size).
 

@@ -35,7 +35,7 @@ class StrainFunctions:
     Attributes:
         logarithmic: True if the trial tensor is a left Cauchy–Green tensor b, with ε = ½ ln b.
             False if it is a strain.
-        checks: How many numbers `positive` returns.
+        checks: Number of values that `positive` returns.
 
     Args:
         d: Dimension of space.

@@ -112,7 +112,7 @@ class Law(Parametrised):
         """Raise ParameterError if a rate is given without the last values."""
         if isinstance(rate, (int, float)) and rate != usual:
             raise ParameterError(
-                f"{type(self).__name__}: rate = {rate:g} leads nowhere: give {lasts}, or leave "
+                f"{type(self).__name__}: rate = {rate:g} has no effect: give {lasts}, or leave "
                 "rate out"
             )
 

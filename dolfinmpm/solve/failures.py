@@ -40,7 +40,7 @@ def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: fl
 
     Args:
         problem: The problem.
-        failed: What is known of the last substep.
+        failed: The last substep.
         done: Converged share of the step.
         share: Share of the last substep.
     """

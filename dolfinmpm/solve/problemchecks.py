@@ -188,7 +188,7 @@ def refuse_field_tags(fields: Sequence[Field], what: str, instead: str) -> None:
     Args:
         fields: Fields of a problem.
         what: Feature that needs one field for all points.
-        instead: What to do, for the message.
+        instead: Advice, for the message.
     """
     for k, field in enumerate(fields):
         if field.space.tags is not None:

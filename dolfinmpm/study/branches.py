@@ -125,7 +125,7 @@ class RunState:
 
     Attributes:
         points: Fields of each set of points and markers by name, and the partition of the grid.
-        kept: What goes from step to step besides, by name, for each problem.
+        kept: Other values that go from step to step, by name, for each problem.
         shares: Share of the next step at which a problem begins its substeps.
     """
 

@@ -147,7 +147,7 @@ class FollowingRuns:
         Args:
             base: The run at m, after the step.
             before: Its state before the step; None if no second run may begin.
-            marks: What has happened in its step.
+            marks: Events of its step.
             middle: Its figures after the step.
         """
         started = time.perf_counter()

@@ -160,7 +160,7 @@ def limit_state(scene: Scene, limit: str, sizes: Mapping[str, float]) -> LimitSt
 
 @dataclass
 class Reliability:
-    """How far failure is, and what it hangs on.
+    """Reliability index, probability of failure, and importance of the inputs.
 
     Attributes:
         beta: Reliability index of Hasofer and Lind.
