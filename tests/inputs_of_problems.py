@@ -158,13 +158,13 @@ INPUTS = {
     "materials.VonMises(10000.0, 0.3, yield_stress=1.0, saturation=0.5)":
         "VonMises: rate = 0 never leads to",
     "materials.VonMises(10000.0, 0.3, yield_stress=1.0, rate=3.0)":
-        "VonMises: rate = 3 leads nowhere: give",
+        "VonMises: rate = 3 has no effect: give",
     "materials.VonMises(10000.0, 0.3, yield_stress=1.0, saturation=2.0)":
         "VonMises: rate = 0 never leads to",
     "materials.Tresca(10000.0, 0.3, -1.0)": "Tresca: cohesion = -1.0 Pa must be in (0.0, inf)",
     "materials.Tresca(10000.0, 0.3, 1.0, ultimate_cohesion=0.5, rate=-1.0)":
         "Tresca: rate = -1.0 must be in [0.0,",
-    "materials.Tresca(10000.0, 0.3, 1.0, rate=9.0)": "Tresca: rate = 9 leads nowhere: give",
+    "materials.Tresca(10000.0, 0.3, 1.0, rate=9.0)": "Tresca: rate = 9 has no effect: give",
     "materials.MohrCoulomb(10000.0, 0.3, 1.0, 90.0)": "MohrCoulomb: friction_angle = 90.0 degrees",
     "materials.MohrCoulomb(10000.0, 0.3, 1.0, -5.0)": "MohrCoulomb: friction_angle = -5.0 degrees",
     "materials.MohrCoulomb(10000.0, 0.3, 1.0, 20.0, dilation_angle=30.0)":

@@ -38,7 +38,8 @@ class NewState:
         moves: Whether the points move.
         to: Where the points go, or None if they stay in their cells.
         beside: The same of the markers of boundaries: markers, new values, where they go.
-        moved: Displacements of markers in the step (m), shape (markers, gdim), by the number of the markers.
+        moved: Displacements of markers in the step (m), shape (markers, gdim), by the number of
+            the markers.
     """
 
     fields: dict[str, Array]

@@ -40,8 +40,8 @@ class PointSymbols:
         order: Number of the points among the points of their grid.
         dX, dx, dS, dC, dt, inertia: See `MaterialPoints`.
         fields: Fields by name.
-        declarations: Data of the points that laws in forms need, by the number in the metadata of their
-            measures.
+        declarations: Data of the points that laws in forms need, by the number in the metadata of
+            their measures.
         laws: Laws whose parameters vary from point to point, each with a field of its own.
     """
 
