@@ -197,9 +197,10 @@ size = np.sqrt(sum(back[name][last] ** 2 for name in STRAINS[:3]))
 facts["radius"] = float(size / radius)
 say(f"Bauer's law to {facts['bauer']:.0e}; friction angle at the end "
     f"{facts['angle']['dense']:.2f}, {facts['angle']['loose']:.2f}° ({phi:.0f}); critical "
-    f"void ratio off by {100 * facts['critical']['dense']:+.2f}, {100 * facts['critical']['loose']:+.2f} %; |h|/R "
-    f"{facts['radius']:.4f}; stiffness over hypoelastic: turn by 180° {facts['m_R']:.3f} ({m_r}), "
-    f"by 90° {facts['m_T']:.3f} ({m_t})")  # fmt: skip
+    f"void ratio off by {100 * facts['critical']['dense']:+.2f}, "
+    f"{100 * facts['critical']['loose']:+.2f} %; "
+    f"|h|/R {facts['radius']:.4f}; stiffness over hypoelastic: turn by 180° {facts['m_R']:.3f} "
+    f"({m_r}), by 90° {facts['m_T']:.3f} ({m_t})")  # fmt: skip
 
 if not args.no_plot:
     with mpm.figure(args.output / "hypoplastic_sand.png", 7.4, 2.6, ncols=3) as (_, axes):
