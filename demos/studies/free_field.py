@@ -14,7 +14,9 @@
 #   B' = \tfrac12 A (1 - \alpha) e^{ikd} + \tfrac12 B (1 + \alpha) e^{-ikd},$$
 #
 # $\alpha$ being the impedance over that of the layer below, and $A = B$ at the surface. The surface
-# over an outcrop of the rock is then $|A_1/A_\text{rock}|$.
+# over an outcrop of the rock is then $|A_1/A_\text{rock}|$. Strains jump between the layers, and
+# quadratic splines have none of these jumps: so errors are larger than those of a single layer in
+# `site_response.py`. The sides add nothing to them: the column alone has the same errors.
 #
 # **A hill** on the same ground, between free-field sides and between tied sides. The reference is
 # ground so wide that no wave comes back from its sides in the time of the run. What counts is the

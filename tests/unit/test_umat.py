@@ -234,10 +234,17 @@ def test_an_explicit_step_that_the_umat_refuses_is_told_and_taken_back(tmp_path)
 
 @pytest.mark.parametrize(
     ("trouble", "told"),
-    [("stress(1) = sqrt(-dtime)", "not finite"), ("call xit", "XIT")],
+    [
+        ("stress(1) = sqrt(-dtime)", "not finite"),
+        ("call xit", "XIT"),
+        ("stop 'no such sand'", "STOP"),
+        ("error stop 4", "STOP"),
+        ("allocate(nowhere(-1_8 + 2_8**60))", "error at run time"),
+    ],
 )
 def test_a_call_that_fails_in_a_step_is_told(tmp_path, trouble, told):
-    law = written(tmp_path, f"{ELASTIC}  if (stress(2) < -1d3) then\n{trouble}\nend if")
+    body = f"{ELASTIC}  if (stress(2) < -1d3) then\n{trouble}\nend if"
+    law = written(tmp_path, body, "  real(8), pointer :: nowhere(:)")
     with pytest.raises(mpm.errors.ConvergenceError, match=told):
         column(law, mpm.QuasiStatic)
 
@@ -252,6 +259,7 @@ def test_a_call_that_fails_in_a_step_is_told(tmp_path, trouble, told):
         ("print *, 'no such sand'\n call xit", 0, "no such sand"),
         ("nowhere => null()\n nowhere(ntens) = 1", 0, "crashes with SIGSEGV"),
         ("stop 3", 0, "exit code 3"),
+        ("error stop 'no clay'", 0, r"exit code 1(?s:.*)no clay"),
     ],
 )
 def test_a_faulty_umat_is_told_before_the_first_step(tmp_path, body, state, told):
@@ -381,6 +389,11 @@ def test_a_library_compiled_elsewhere(tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True)
     law = mpm.materials.UMAT(tmp_path / "own.so", [1e6])
     assert law.check() == []
+    source.write_text(f"{HEAD}\n{ELASTIC}\n if (stress(2) < -1d3) stop 1\nend subroutine\n")
+    subprocess.run([*command[:-1], "stop.so"], cwd=tmp_path, check=True)
+    law = mpm.materials.UMAT(tmp_path / "stop.so", [1e6])
+    with pytest.raises(mpm.errors.StateError, match="STOP"):
+        mpm.study.element_test(law, "oedometer", -0.1, strain="small")
     source.write_text("subroutine other\nend\n")
     subprocess.run([*command[:-1], "other.so"], cwd=tmp_path, check=True)
     with pytest.raises(mpm.errors.UserLawError, match="umat_"):
