@@ -62,6 +62,8 @@ int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
     int one = 1, steps[4] = {{1, 1, 1, 0}};
     real rpl = 0.0, drpldt = 0.0, ddsddt[6] = {{0}}, drplde[6] = {{0}};
     real temp = 0.0, dtemp = 0.0, predef[1] = {{0}}, dpred[1] = {{0}};
+    real own[nprops > 0 ? nprops : 1]; /* some UMATs write into PROPS */
+    memcpy(own, props, nprops * sizeof(real));
     memcpy(cmname, name, 80);
     inside = 1;
     if (_setjmp(place)) {{
@@ -70,7 +72,7 @@ int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
     }}
     umat_(STRESS, STATEV, DDSDDE, ENERGIES, ENERGIES + 1, ENERGIES + 2, &rpl, ddsddt, drplde,
           &drpldt, STRAN, DSTRAN, TIME, DTIME, &temp, &dtemp, predef, dpred, cmname, &ndi, &nshr,
-          &ntens, &nstatv, props, &nprops, COORDS, DROT, PNEWDT, CELENT, DFGRD0, DFGRD1, &noel,
+          &ntens, &nstatv, own, &nprops, COORDS, DROT, PNEWDT, CELENT, DFGRD0, DFGRD1, &noel,
           &one, &one, &one, steps, &one, (size_t)80);
     inside = 0;
     return *PNEWDT < 1.0 ? 2 : 0;

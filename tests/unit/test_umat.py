@@ -350,6 +350,32 @@ def test_the_check_finds_state_between_points_and_wrong_tangents(tmp_path):
         wrong.check(components=5)
 
 
+def test_arguments_that_a_umat_overwrites_are_its_own(tmp_path):
+    """Properties, sizes, increments, times and the rotation: the results are those without."""
+    writes = """
+    props(1) = 2*props(1)
+    ntens = 3
+    nprops = 0
+    ndi = 1
+    dstran = 7
+    stran = 7
+    drot = 7
+    dfgrd0 = 7
+    dfgrd1 = 7
+    coords = 7
+    time = 7
+    dtime = 7
+    """
+    found = []
+    for k, body in enumerate((ELASTIC, ELASTIC + writes)):
+        (tmp_path / str(k)).mkdir()
+        law = written(tmp_path / str(k), body)
+        assert law.check() == []
+        found.append(column(law, mpm.QuasiStatic).points)
+    assert np.array_equal(found[1]["stress"], found[0]["stress"])
+    assert np.array_equal(found[1]["total_strain"], found[0]["total_strain"])
+
+
 def test_the_same_source_is_compiled_once(tmp_path, monkeypatch):
     law = written(tmp_path)
     monkeypatch.setattr(subprocess, "run", _refuse(subprocess.run))
