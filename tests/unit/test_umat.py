@@ -346,6 +346,8 @@ def test_the_check_finds_state_between_points_and_wrong_tangents(tmp_path):
     wrong = written(tmp_path, ELASTIC + "ddsdde(2, 1) = ddsdde(1, 1)/10")
     (fault,) = wrong.check()
     assert "DDSDDE(2,1) = 100000 Pa" in fault
+    (fault,) = written(tmp_path, "ddsdde = 0").check()
+    assert "gives the same stress for every DSTRAN" in fault
     with pytest.raises(mpm.errors.ParameterError, match="4 or 6"):
         wrong.check(components=5)
 
