@@ -163,12 +163,17 @@ def per_direction(what: str, given: Any, directions: int) -> npt.NDArray[np.floa
 
 
 def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
-    """Numbers as an array of any shape; the caller checks the shape.
+    """Numbers as an array of any shape; the caller checks the shape. Masked values become nan.
 
     Raises:
         ParameterError: The argument has something else than numbers.
     """
     try:
+        if np.iscomplexobj(given):
+            # NumPy would drop the imaginary part
+            raise TypeError
+        if isinstance(given, np.ma.MaskedArray):
+            return given.astype(np.float64).filled(np.nan)
         return np.array(given, np.float64)
     except (TypeError, ValueError):
         raise ParameterError(

@@ -13,7 +13,7 @@ from dolfinmpm.body.axisymmetry import in_section
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["domains", "of_points"]
+__all__ = ["domains", "load_pyvista", "of_points"]
 
 Array = npt.NDArray[Any]
 # VTK's order of corners, and its number of the cell, by dimension
@@ -23,6 +23,21 @@ _CORNERS = {
     3: np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]),
 }
 _KINDS = {1: 3, 2: 9, 3: 12}
+
+
+def load_pyvista() -> Any:
+    """The package PyVista.
+
+    Raises:
+        MissingPackageError: PyVista is not installed.
+    """
+    try:
+        import pyvista
+    except ImportError:
+        raise MissingPackageError(
+            "this needs PyVista: pip install pyvista; pictures in 2D need Matplotlib alone"
+        ) from None
+    return pyvista
 
 
 def domains(x: Array, edges: Array) -> Any:
@@ -35,12 +50,7 @@ def domains(x: Array, edges: Array) -> Any:
     Raises:
         MissingPackageError: PyVista is not installed.
     """
-    try:
-        import pyvista
-    except ImportError:
-        raise MissingPackageError(
-            "this needs PyVista: pip install pyvista; pictures in 2D need Matplotlib alone"
-        ) from None
+    pyvista = load_pyvista()
     n, d = x.shape
     signs = _CORNERS[d]
     corners = np.zeros((n, len(signs), 3))

@@ -10,7 +10,11 @@ from dolfinmpm._platform.argumentchecks import coordinates, number, per_directio
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.rasterfiles import Raster
 
-__all__ = ["raster_of_array", "windowed"]
+__all__ = ["raster_of_array", "refuse_marks", "windowed"]
+
+# Values by which rasters mark cells without data; and heights that are none
+_MARKS = -9999.0, -99999.0, -32767.0, -32768.0
+_HIGHEST = 1e30
 
 
 def raster_of_array(raster: Any, spacing: Any, corner: Any) -> Raster:
@@ -35,8 +39,8 @@ def raster_of_array(raster: Any, spacing: Any, corner: Any) -> Raster:
     for one in size:
         number("spacing", float(one), 0.0, unit="m")
     low = coordinates("corner", corner)
-    if low.shape != (2,):
-        raise ParameterError(f"corner = {corner} must be two coordinates (m)")
+    if low.shape != (2,) or not np.isfinite(low).all():
+        raise ParameterError(f"corner = {corner} must be two finite coordinates (m)")
     x, y = (a + h * np.arange(n) for a, h, n in zip(low, size, z.shape[::-1]))
     return Raster(x, y, z.T.copy())
 
@@ -62,3 +66,21 @@ def windowed(raster: Raster, window: Any) -> Raster:
             f"from ({x[0]:g}, {y[0]:g}) to ({x[-1]:g}, {y[-1]:g}) m"
         )
     return Raster(x[kept[0]], y[kept[1]], z[np.ix_(*kept)])
+
+
+def refuse_marks(raster: Raster) -> None:
+    """Raise an error where heights are marks of missing data, which nothing has declared.
+
+    Args:
+        raster: The raster.
+
+    Raises:
+        ParameterError: A height is -9999 m or another common mark, or is beyond 1e30 m.
+    """
+    z = raster.z
+    marked = np.isin(z, _MARKS) | (np.isfinite(z) & (np.abs(z) > _HIGHEST))
+    if marked.any():
+        raise ParameterError(
+            f"{int(marked.sum())} of {z.size} heights are {z[marked][0]:g} m, a mark of missing "
+            "data: fill them in, or give a window without them"
+        )

@@ -16,8 +16,9 @@ __all__ = ["Raster", "read_raster"]
 
 Array = npt.NDArray[np.float64]
 
+_HEIGHTS = "nan", "inf", "infinity"
 _TEXT = {".asc", ".txt", ".grd"}
-_REQUIRED = "ncols", "nrows", "cellsize"
+_REQUIRED = "ncols", "nrows"
 
 
 @dataclass(frozen=True)
@@ -56,33 +57,42 @@ def _ascii(file: Path) -> Raster:
     words = file.read_text(encoding="utf-8", errors="replace").split()
     header: dict[str, str] = {}
     at = 0
-    while at + 1 < len(words) and words[at][0].isalpha():
+    twice = []
+    # "nan" and "inf" are heights
+    while at + 1 < len(words) and words[at][0].isalpha() and words[at].lower() not in _HEIGHTS:
+        twice += [words[at]] * (words[at].lower() in header)
         header[words[at].lower()] = words[at + 1]
         at += 2
-    missing = [name for name in _REQUIRED if name not in header]
+    # GDAL writes dx and dy where the cells are no squares
+    sizes = ("dx", "dy") if "dx" in header or "dy" in header else ("cellsize", "cellsize")
+    missing = [name for name in (*_REQUIRED, *sizes) if name not in header]
     corners = [name for axis in "xy" for name in (f"{axis}llcorner", f"{axis}llcenter")]
     try:
+        if twice:
+            raise ValueError(f"its header has {twice[0]} twice")
         if missing or sum(name in header for name in corners) != 2:
             raise ValueError(f"its header has {', '.join(header) or 'no entries'}")
         columns, rows = int(header["ncols"]), int(header["nrows"])
-        size = float(header["cellsize"])
+        size = [float(header[name]) for name in sizes]
         low = []
-        for axis in "xy":
+        for axis, half in zip("xy", size):
             centred = f"{axis}llcenter" in header
             given = float(header[f"{axis}llcenter" if centred else f"{axis}llcorner"])
-            low.append(given if centred else given + 0.5 * size)
+            low.append(given if centred else given + 0.5 * half)
         values = np.array(words[at:], np.float64)
-        if size <= 0.0 or min(columns, rows) < 1 or values.size != columns * rows:
+        if not all(0.0 < one < np.inf for one in size) or not np.isfinite(low).all():
+            raise ValueError(f"its cells are {size} m large, and its corner is at {low} m")
+        if min(columns, rows) < 1 or values.size != columns * rows:
             raise ValueError(f"it has {values.size} heights, not {columns} x {rows}")
         none = float(header.get("nodata_value", -9999.0))
     except ValueError as error:
         raise OSError(
             f"{file} is no ESRI ASCII grid: {error}; the header needs ncols, nrows, xllcorner, "
-            "yllcorner and cellsize, and one height per cell follows"
+            "yllcorner and cellsize (or dx and dy), and one height per cell follows"
         ) from error
     values[values == none] = np.nan
     z = values.reshape(rows, columns)[::-1].T
-    x, y = (at + size * np.arange(n) for at, n in zip(low, (columns, rows)))
+    x, y = (at + step * np.arange(n) for at, step, n in zip(low, size, (columns, rows)))
     return Raster(x, y, np.ascontiguousarray(z))
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.heightvolumes import volume_between
-from dolfinmpm.body.rasterarrays import raster_of_array, windowed
+from dolfinmpm.body.rasterarrays import raster_of_array, refuse_marks, windowed
 from dolfinmpm.body.rasterfiles import read_raster
 from dolfinmpm.body.shapes import Polygon, Shape
 from dolfinmpm.body.terrainmesh import closed_mesh
@@ -119,9 +119,10 @@ class Terrain:
             found = raster_of_array(raster, spacing, corner)
         if window is not None:
             found = windowed(found, window)
+        refuse_marks(found)
         shift = coordinates("origin", origin)
-        if shift.shape != (2,):
-            raise ParameterError(f"origin = {origin} must be two coordinates (m)")
+        if shift.shape != (2,) or not np.isfinite(shift).all():
+            raise ParameterError(f"origin = {origin} must be two finite coordinates (m)")
         return cls((found.x - shift[0], found.y - shift[1]), found.z)
 
     def from_boreholes(
@@ -149,6 +150,7 @@ class Terrain:
         [1.5]
         """
         from scipy.interpolate import RBFInterpolator
+        from scipy.spatial.distance import pdist
 
         at, z = coordinates("positions", positions), coordinates("heights", heights)
         at = at[:, None] if at.ndim == 1 and self.gdim == 2 else at
@@ -159,7 +161,8 @@ class Terrain:
             )
         if not np.isfinite(at).all() or not np.isfinite(z).all():
             raise ParameterError("positions and heights of boreholes must be finite")
-        if len(np.unique(at, axis=0)) < len(at):
+        apart = pdist(at).min(initial=np.inf)
+        if apart <= _SLACK * np.ptp(at, axis=0).max():
             raise ParameterError("two boreholes are at the same position: give their mean")
         nodes = np.stack(np.meshgrid(*self.lines, indexing="ij"), axis=-1).reshape(
             -1, self.gdim - 1
@@ -304,6 +307,11 @@ class GroundBelow(Shape):
             number("bottom", bottom, unit="m")
         least = np.max([[line[0] for line in one.lines] for one in both], axis=0)
         most = np.min([[line[-1] for line in one.lines] for one in both], axis=0)
+        if np.any(least >= most):
+            raise ParameterError(
+                f"surface and bottom have no common ground: one begins at {least} m, where the "
+                f"other has ended at {most} m"
+            )
         first = least if low is None else np.atleast_1d(coordinates("low", low))
         last = most if high is None else np.atleast_1d(coordinates("high", high))
         slack = _SLACK * (most - least)

@@ -23,7 +23,7 @@ from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.basis.refinement import leaves_on
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.pyvistamesh import domains
+from dolfinmpm.body.pyvistamesh import domains, load_pyvista
 from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.io.encoding import ENDINGS, ffmpeg, join
@@ -252,6 +252,9 @@ def animate(
             raise ParameterError(f"the path of a film ends in .mp4 or .gif, got '{file}'")
         if comm.rank == 0 and file.suffix == ".mp4":
             ffmpeg()
+        if comm.rank == 0 and isinstance(points, MaterialPoints) and points.gdim == 3:
+            # to be told before the run, and not after it
+            load_pyvista()
         if limits is not None and not np.less(*two_numbers("limits", limits)):
             raise ParameterError(f"limits = {shown(limits)} must rise, from lowest to highest")
         check_size(size, dpi)

@@ -41,7 +41,7 @@ class UMAT(Parametrised):
     step; a step without time has DTIME = 1 or a share of 1. NOEL is the number of the point.
 
     The step fails and is halved where PNEWDT < 1, where a number is not finite, and where the
-    UMAT calls XIT. SSE and SPD are fields of the points, `elastic_energy` and
+    UMAT calls XIT or stops. SSE and SPD are fields of the points, `elastic_energy` and
     `plastic_dissipation` (J/m³). The total strain is the field `total_strain`. State variables are
     fields of their names: they are saved, drawn and moved between ranks as all fields are.
 

@@ -14,7 +14,7 @@ STRESS, DDSDDE, STATEV = OFFSETS["stress"], OFFSETS["ddsdde"], OFFSETS["statev"]
 _PNEWDT = OFFSETS["pnewdt"]
 # Why a call fails, by the number that it returns
 FAILURES = {
-    1: "stopped by a call of XIT",
+    1: "stopped by XIT, STOP or an error at run time",
     2: "asks for a shorter step (PNEWDT < 1)",
     3: "gives a stress that is not finite",
 }

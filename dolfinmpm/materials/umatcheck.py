@@ -112,6 +112,11 @@ def _tangent(law: UMAT, work: Array, components: int, h: float, tolerance: float
     # Fortran stores column by column
     own = base[:, DDSDDE : DDSDDE + m * m].reshape(-1, m, m).swapaxes(1, 2)
     size = np.abs(numeric).max(axis=(1, 2))
+    if good.any() and not numeric[good].any():
+        return [
+            f"{law!r} gives the same stress for every DSTRAN. Does it set STRESS? Are its numbers "
+            "REAL*8 (INCLUDE 'ABA_PARAM.INC')? Has it all arguments of UMAT?"
+        ]
     good &= np.isfinite(size) & (size > 0) & (kink <= _KINK * size)
     if not good.any():
         return [] if (status != 0).any() else [f"{law!r}: no point without a kink for its tangent"]

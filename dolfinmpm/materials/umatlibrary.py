@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,6 +34,8 @@ SOURCES = (".f", ".for", ".f90", ".f95", ".f03", ".f08")
 LIBRARIES = (".so",)
 # Old programs: any type for an argument, tabulators, and lines of common length
 _FLAGS = ("-shared", "-fPIC", "-std=legacy", "-w", "-Wl,-Bsymbolic", "-Wl,-z,defs")
+# The shim's STOP goes before that of gfortran's library, which other packages have loaded
+_MODE = os.RTLD_NOW | os.RTLD_LOCAL | getattr(os, "RTLD_DEEPBIND", 0)
 _LONGEST = 4000  # characters of a compiler's message
 _INCLUDED = re.compile(r"""^\s*#?\s*include\s*['"]([^'"]+)['"]""", re.IGNORECASE | re.MULTILINE)
 
@@ -74,7 +77,7 @@ def open_umat(path: Any, flags: Sequence[str]) -> UmatLibrary:
     found = comm.bcast(found)
     assert found is not None
     try:
-        library = ctypes.CDLL(str(found))
+        library = ctypes.CDLL(str(found), mode=_MODE)
         address = ctypes.cast(library.dolfinmpm_umat, ctypes.c_void_p).value
     except OSError as caught:
         error = UserLawError(f"the UMAT {path} cannot be loaded: {caught}")
@@ -196,10 +199,17 @@ def _refused(source: Path, message: str) -> UserLawError:
 
 
 def _has_symbol(library: Path, source: Path) -> None:
-    """Raise UserLawError if a library does not define all that it calls."""
-    try:
-        ctypes.CDLL(str(library), mode=os.RTLD_NOW | os.RTLD_LOCAL)
-    except OSError as error:
+    """Raise UserLawError if a library does not define all that it calls.
+
+    It is loaded in a process of its own: here a library of the user would be bound to this copy of
+    the shim for ever.
+    """
+    load = f"import ctypes, sys; ctypes.CDLL(sys.argv[1], mode={_MODE})"
+    command = [sys.executable, "-I", "-c", load, str(library)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
         raise UserLawError(
-            f"the UMAT {source} cannot be loaded: {error}. A UMAT has the symbol umat_"
-        ) from None
+            f"the UMAT {source} cannot be loaded: {said[-1].removeprefix('OSError: ')}. A UMAT has "
+            "the symbol umat_"
+        )

@@ -3,7 +3,9 @@
 `dolfinmpm_umat` takes one array with all data of a point and makes the call by the interface of
 Abaqus (Abaqus User Subroutines Reference Guide, UMAT). It also defines the utility routines that
 published UMATs call: XIT, STDB_ABQERR, GETOUTDIR, ROTSIG, SINV, SPRINC and SPRIND. XIT ends the
-point and not the program. A UMAT that has routines of these names keeps its own.
+point and not the program. A UMAT that has routines of these names keeps its own. STOP and ERROR
+STOP are calls of gfortran's library, and errors at run time are such calls in part: those that can
+be taken over end the point, too.
 """
 
 from __future__ import annotations
@@ -32,8 +34,10 @@ _AT = "\n".join(f"#define {name.upper()} (w + {start})" for name, start in OFFSE
 SHIM = f"""\
 #include <math.h>
 #include <setjmp.h>
+#include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -50,7 +54,7 @@ extern void umat_(
 static jmp_buf place;
 static int inside = 0;
 
-/* 0, or 1 where the UMAT has called XIT, or 2 where it asks for a shorter step */
+/* 0, or 1 where the UMAT has called XIT or has stopped, or 2 where it asks for a shorter step */
 int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
 {{
     char cmname[80];
@@ -58,6 +62,8 @@ int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
     int one = 1, steps[4] = {{1, 1, 1, 0}};
     real rpl = 0.0, drpldt = 0.0, ddsddt[6] = {{0}}, drplde[6] = {{0}};
     real temp = 0.0, dtemp = 0.0, predef[1] = {{0}}, dpred[1] = {{0}};
+    real own[nprops > 0 ? nprops : 1]; /* some UMATs write into PROPS */
+    memcpy(own, props, nprops * sizeof(real));
     memcpy(cmname, name, 80);
     inside = 1;
     if (_setjmp(place)) {{
@@ -66,7 +72,7 @@ int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
     }}
     umat_(STRESS, STATEV, DDSDDE, ENERGIES, ENERGIES + 1, ENERGIES + 2, &rpl, ddsddt, drplde,
           &drpldt, STRAN, DSTRAN, TIME, DTIME, &temp, &dtemp, predef, dpred, cmname, &ndi, &nshr,
-          &ntens, &nstatv, props, &nprops, COORDS, DROT, PNEWDT, CELENT, DFGRD0, DFGRD1, &noel,
+          &ntens, &nstatv, own, &nprops, COORDS, DROT, PNEWDT, CELENT, DFGRD0, DFGRD1, &noel,
           &one, &one, &one, steps, &one, (size_t)80);
     inside = 0;
     return *PNEWDT < 1.0 ? 2 : 0;
@@ -77,6 +83,74 @@ __attribute__((weak)) void xit_(void)
     if (inside)
         longjmp(place, 1);
     _exit(77); /* in the process that tries a UMAT */
+}}
+
+/* What gfortran makes of STOP and of some errors; in the process that tries a UMAT they end it */
+static void stopped(int code)
+{{
+    if (inside)
+        longjmp(place, 1);
+    fflush(stderr);
+    _exit(code);
+}}
+
+void _gfortran_stop_string(const char *text, size_t length, _Bool quiet)
+{{
+    if (!inside)
+        fprintf(stderr, "STOP %.*s\\n", (int)length, text ? text : "");
+    stopped(0);
+}}
+
+void _gfortran_error_stop_string(const char *text, size_t length, _Bool quiet)
+{{
+    if (!inside)
+        fprintf(stderr, "ERROR STOP %.*s\\n", (int)length, text ? text : "");
+    stopped(1);
+}}
+
+void _gfortran_stop_numeric(int code, _Bool quiet)
+{{
+    if (!inside)
+        fprintf(stderr, "STOP %d\\n", code);
+    stopped(code);
+}}
+
+void _gfortran_error_stop_numeric(int code, _Bool quiet)
+{{
+    if (!inside)
+        fprintf(stderr, "ERROR STOP %d\\n", code);
+    stopped(code ? code : 1);
+}}
+
+static void failed(const char *where, const char *format, va_list values)
+{{
+    if (!inside) {{
+        fprintf(stderr, "%s\\n", where);
+        vfprintf(stderr, format, values);
+        fprintf(stderr, "\\n");
+    }}
+    stopped(2);
+}}
+
+void _gfortran_runtime_error_at(const char *where, const char *format, ...)
+{{
+    va_list values;
+    va_start(values, format);
+    failed(where, format, values);
+}}
+
+void _gfortran_os_error_at(const char *where, const char *format, ...)
+{{
+    va_list values;
+    va_start(values, format);
+    failed(where, format, values);
+}}
+
+void _gfortran_runtime_error(const char *format, ...)
+{{
+    va_list values;
+    va_start(values, format);
+    failed("error at run time", format, values);
 }}
 
 __attribute__((weak)) void stdb_abqerr_(

@@ -37,3 +37,26 @@ def test_a_debris_flow_keeps_volume_and_momentum(tmp_path, ranks):
     assert found["momentum_error"] < 0.01
     # it slides down, by less than without friction
     assert 46.0 < found["front"] < 62.0
+
+
+def test_debris_on_a_plane_has_the_velocity_of_a_block(tmp_path):
+    size = "--bed", "plane", "--h", "5", "--duration", "3"
+    found = figures(tmp_path, "debris_flow", *size, ranks=2)
+    assert abs(found["block_error"]) < 0.03
+    assert abs(found["work_error"]) < 0.02
+    assert found["losses"]["friction"] > 0.3
+
+
+def test_level_ground_between_free_field_sides_is_its_column(tmp_path):
+    size = "--height", "10", "--h", "1", "--hill-h", "2", "--width", "3", "--duration", "1"
+    found = figures(tmp_path, "free_field", "--parts", "level", *size)["level"]
+    assert found["off_column"] < 1e-3
+    assert found["vertical"] < 1e-3
+    assert abs(found["missing_energy"]) < 1e-4
+
+
+@pytest.mark.long
+def test_waves_of_a_hill_leave_through_free_field_sides(tmp_path):
+    size = "--height", "10", "--h", "1", "--hill-h", "2", "--hill-duration", "0.6"
+    found = figures(tmp_path, "free_field", "--parts", "hill", *size)["hill"]
+    assert found["errors"]["free field"] < 0.5 * found["errors"]["tied"]

@@ -189,6 +189,14 @@ def test_a_missing_pyvista_is_told(monkeypatch):
         points.to_pyvista()
 
 
+def test_a_film_in_3d_tells_a_missing_pyvista_before_the_run(monkeypatch, tmp_path):
+    without(monkeypatch, "pyvista")
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(3)] * 3)
+    points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), per_cell=1, density=1.0)
+    with pytest.raises(MissingPackageError, match="pip install pyvista"):
+        mpm.animate(points, tmp_path / "film.gif", "density")
+
+
 def test_points_as_a_mesh_of_their_domains():
     pytest.importorskip("pyvista")
     problem = pressed()

@@ -122,6 +122,26 @@ def test_esri_ascii_grids(tmp_path):
     file.write_text(ASCII.replace("1 2 3", "1 2"))
     with pytest.raises(OSError, match="5 heights, not 3 x 2"):
         mpm.Terrain.from_raster(file)
+    for bad, text in (
+        (ASCII.replace("nrows 2", "nrows 2\nncols 3"), "its header has ncols twice"),
+        (ASCII.replace("cellsize 10.0", "cellsize nan"), r"its cells are \[nan, nan\] m large"),
+    ):
+        file.write_text(bad)
+        with pytest.raises(OSError, match=text):
+            mpm.Terrain.from_raster(file)
+    # a word that is a number, and a mark of missing data that the header does not tell
+    for bad, text in (
+        (ASCII.replace("1 2 3", "nan 2 3"), "1 of 6 heights are not known"),
+        (ASCII.replace("1 2 3", "-32768 2 3"), "1 of 6 heights are -32768 m, a mark of missing"),
+    ):
+        file.write_text(bad)
+        with pytest.raises(ParameterError, match=text):
+            mpm.Terrain.from_raster(file)
+    # cells that are no squares, as GDAL writes them
+    file.write_text(ASCII.replace("cellsize 10.0", "dx 10.0\ndy 4.0"))
+    ground = mpm.Terrain.from_raster(file)
+    assert ground.lines[0].tolist() == [105.0, 115.0, 125.0]
+    assert ground.lines[1].tolist() == [202.0, 206.0]
     with pytest.raises(FileNotFoundError, match="no file"):
         mpm.Terrain.from_raster(tmp_path / "none.asc")
 
@@ -274,6 +294,8 @@ def test_debris_on_a_bed_keeps_its_momentum_balance():
 
 # -- bad input ------------------------------------------------------------------------------
 
+MASKED = np.ma.masked_equal([[1.0, 2.0], [-9999.0, 4.0]], -9999.0)
+
 
 @pytest.mark.parametrize(
     ("make", "text"),
@@ -289,6 +311,15 @@ def test_debris_on_a_bed_keeps_its_momentum_balance():
         (lambda: hills().section((0, 0), (0, 0)), "two different ends"),
         (lambda: hills()([[0.0]]), "one row per coordinate"),
         (lambda: hills().raised([1.0]), "one value per node"),
+        (lambda: mpm.Terrain.from_raster(MASKED, spacing=1.0), "1 of 4 heights are not known"),
+        (lambda: mpm.Terrain.from_raster(MASKED.data, spacing=1.0), "a mark of missing data"),
+        (lambda: mpm.Terrain.from_raster(1j * MASKED.data, spacing=1.0), "must be numbers"),
+        (lambda: mpm.Terrain.from_raster(MASKED, spacing=1.0, corner=(np.nan, 0)), "two finite"),
+        (lambda: hills().from_boreholes([(1, 1), (1 + 1e-12, 1), (9, 5)], [1, 2, 3]), "same pos"),
+        (
+            lambda: hills().ground(mpm.Terrain(([50, 60], [0, 5]), np.zeros((2, 2)))),
+            "no common ground",
+        ),
     ],
 )
 def test_bad_input_has_a_named_error(make, text):

@@ -234,10 +234,17 @@ def test_an_explicit_step_that_the_umat_refuses_is_told_and_taken_back(tmp_path)
 
 @pytest.mark.parametrize(
     ("trouble", "told"),
-    [("stress(1) = sqrt(-dtime)", "not finite"), ("call xit", "XIT")],
+    [
+        ("stress(1) = sqrt(-dtime)", "not finite"),
+        ("call xit", "XIT"),
+        ("stop 'no such sand'", "STOP"),
+        ("error stop 4", "STOP"),
+        ("allocate(nowhere(-1_8 + 2_8**60))", "error at run time"),
+    ],
 )
 def test_a_call_that_fails_in_a_step_is_told(tmp_path, trouble, told):
-    law = written(tmp_path, f"{ELASTIC}  if (stress(2) < -1d3) then\n{trouble}\nend if")
+    body = f"{ELASTIC}  if (stress(2) < -1d3) then\n{trouble}\nend if"
+    law = written(tmp_path, body, "  real(8), pointer :: nowhere(:)")
     with pytest.raises(mpm.errors.ConvergenceError, match=told):
         column(law, mpm.QuasiStatic)
 
@@ -252,6 +259,7 @@ def test_a_call_that_fails_in_a_step_is_told(tmp_path, trouble, told):
         ("print *, 'no such sand'\n call xit", 0, "no such sand"),
         ("nowhere => null()\n nowhere(ntens) = 1", 0, "crashes with SIGSEGV"),
         ("stop 3", 0, "exit code 3"),
+        ("error stop 'no clay'", 0, r"exit code 1(?s:.*)no clay"),
     ],
 )
 def test_a_faulty_umat_is_told_before_the_first_step(tmp_path, body, state, told):
@@ -338,8 +346,36 @@ def test_the_check_finds_state_between_points_and_wrong_tangents(tmp_path):
     wrong = written(tmp_path, ELASTIC + "ddsdde(2, 1) = ddsdde(1, 1)/10")
     (fault,) = wrong.check()
     assert "DDSDDE(2,1) = 100000 Pa" in fault
+    (fault,) = written(tmp_path, "ddsdde = 0").check()
+    assert "gives the same stress for every DSTRAN" in fault
     with pytest.raises(mpm.errors.ParameterError, match="4 or 6"):
         wrong.check(components=5)
+
+
+def test_arguments_that_a_umat_overwrites_are_its_own(tmp_path):
+    """Properties, sizes, increments, times and the rotation: the results are those without."""
+    writes = """
+    props(1) = 2*props(1)
+    ntens = 3
+    nprops = 0
+    ndi = 1
+    dstran = 7
+    stran = 7
+    drot = 7
+    dfgrd0 = 7
+    dfgrd1 = 7
+    coords = 7
+    time = 7
+    dtime = 7
+    """
+    found = []
+    for k, body in enumerate((ELASTIC, ELASTIC + writes)):
+        (tmp_path / str(k)).mkdir()
+        law = written(tmp_path / str(k), body)
+        assert law.check() == []
+        found.append(column(law, mpm.QuasiStatic).points)
+    assert np.array_equal(found[1]["stress"], found[0]["stress"])
+    assert np.array_equal(found[1]["total_strain"], found[0]["total_strain"])
 
 
 def test_the_same_source_is_compiled_once(tmp_path, monkeypatch):
@@ -381,6 +417,11 @@ def test_a_library_compiled_elsewhere(tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True)
     law = mpm.materials.UMAT(tmp_path / "own.so", [1e6])
     assert law.check() == []
+    source.write_text(f"{HEAD}\n{ELASTIC}\n if (stress(2) < -1d3) stop 1\nend subroutine\n")
+    subprocess.run([*command[:-1], "stop.so"], cwd=tmp_path, check=True)
+    law = mpm.materials.UMAT(tmp_path / "stop.so", [1e6])
+    with pytest.raises(mpm.errors.StateError, match="STOP"):
+        mpm.study.element_test(law, "oedometer", -0.1, strain="small")
     source.write_text("subroutine other\nend\n")
     subprocess.run([*command[:-1], "other.so"], cwd=tmp_path, check=True)
     with pytest.raises(mpm.errors.UserLawError, match="umat_"):
