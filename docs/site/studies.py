@@ -78,14 +78,16 @@ def pictures(name: str) -> list[Path]:
 def measured(card: dict[str, Any]) -> list[str]:
     """The rows of docs/benchmarks.md that the study measures: claim, figures, reference."""
     from benchmarks import ROWS, shown
+    from measured import claim
 
     rows = {row.name: row for row in ROWS}
     kept = json.loads((ROOT / "docs" / "benchmarks.json").read_text())
     lines = []
-    for name in card["rows"]:
+    for place, name in enumerate(card["rows"]):
         row = rows[name]
         reference = f" ({row.reference})" if row.reference else ""
-        lines.append(f"{row.claim}: **{shown(row, kept[name]['figures'])}**{reference}")
+        told = claim(row, ROWS, card["rows"][:place])
+        lines.append(f"{told}: **{shown(row, kept[name]['figures'])}**{reference}")
     return lines
 
 

@@ -320,13 +320,13 @@ def costs() -> None:
 
 def _slope(basis: str, stabilisation: str):
     """A slope of Mohr–Coulomb soil whose face cuts cells, and its gravity."""
-    grid = mesh.create_rectangle(COMM, [(0, 0), (16, 8)], (48, 24), QUADRILATERAL)
+    grid = mesh.create_rectangle(COMM, [(0, 0), (16, 8)], (96, 48), QUADRILATERAL)
     body = mpm.Polygon([(0, 0), (16, 0), (16, 2.1), (11, 2.1), (6, 6.1), (0, 6.1)])
     points = mpm.fill(grid, body, per_cell=2, density=2000.0)
     V = mpm.Space(grid, basis=basis)
     u, v = V.increment, V.test
     gravity = fem.Constant(grid, (0.0, 0.0))
-    soil = mpm.materials.MohrCoulomb(50e6, 0.3, 12e3, 25.0, dilation_angle=0.0)
+    soil = mpm.materials.MohrCoulomb(50e6, 0.3, 9e3, 25.0, dilation_angle=0.0)
     F = mpm.momentum(soil, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     options = {"stabilisation": stabilisation, "tolerance": 1e-6, "max_halvings": 3}
