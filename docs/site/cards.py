@@ -74,7 +74,7 @@ def _card(env: Any, kind: str, name: str, card: dict[str, Any]) -> list[nodes.No
     else:
         drawn = [file for file in studies.pictures(name) if file.suffix != ".mp4"]
         picture = f"studies/pictures/{drawn[0].name}" if drawn else ""
-        off = "; ".join(studies.measured(card)).replace("**", "")
+        off = "; ".join(studies.measured(card)).replace("**", "") or studies.printed(name, card)
     data = " ".join(f'data-{key}="{html.escape(card[key])}"' for key in FILTERS)
     parts: list[nodes.Node] = [raw(f'<div class="gallery-card" {data}>')]
     if picture and Path(env.srcdir, picture).exists():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -73,6 +74,23 @@ def pictures(name: str) -> list[Path]:
     """Pictures and films that the study has drawn."""
     files = (BUILD / "studies" / name).glob("*")
     return sorted(file for file in files if file.suffix in {".png", ".gif", ".mp4"})
+
+
+def printed(name: str, card: dict[str, Any]) -> str:
+    """What the study has printed of itself at its small size, where no row measures it.
+
+    Raises
+    ------
+    SystemExit
+        It has not printed what the card's `printed` describes.
+    """
+    file = BUILD / "studies" / name / "printed.txt"
+    if "printed" not in card or not file.exists():
+        return ""
+    found = re.search(card["printed"], file.read_text())
+    if not found:
+        raise SystemExit(f"docs/site/gallery.toml: {name} has not printed {card['printed']!r}")
+    return "at a small size: " + "; ".join(found.groups())
 
 
 def measured(card: dict[str, Any]) -> list[str]:
