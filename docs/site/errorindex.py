@@ -15,6 +15,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import assemble
+
 DOCS = Path(__file__).resolve().parents[1]
 BASES = {"DolfinMPMError", "DolfinMPMWarning"}
 
@@ -87,6 +89,10 @@ def write_page(write: Any, source: Path) -> None:
     SystemExit
         An error of the package is missing in errors.toml, or one there is none of the package.
     """
+    page, here = source / "reference" / "errors.md", Path(__file__)
+    sources = here, DOCS / "reference" / "errors.toml", DOCS / "reference" / "error_examples.py"
+    if assemble.is_made(page, *sources):
+        return
     advice, module, found = (
         tomllib.loads((DOCS / "reference" / "errors.toml").read_text()),
         examples(),
@@ -111,15 +117,16 @@ def write_page(write: Any, source: Path) -> None:
         "```",
         "",
     ]
-    here = os.getcwd()
+    before = os.getcwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
             for name, kind in found.items():
                 lines += _entry(name, kind, advice[name], module, folder)
         finally:
-            os.chdir(here)
-    write(source / "reference" / "errors.md", "\n".join(lines))
+            os.chdir(before)
+    write(page, "\n".join(lines))
+    assemble.mark_made(page, *sources)
 
 
 def _entry(

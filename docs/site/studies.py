@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -16,7 +15,7 @@ from typing import Any
 
 import cards
 import programs
-from assemble import BUILD, ROOT, SOURCE, write
+from assemble import BUILD, ROOT, SOURCE, digest, write
 
 sys.path.insert(0, str(ROOT / "docs"))
 
@@ -44,10 +43,6 @@ def run_studies(run: bool = True) -> None:
         folder = BUILD / "studies" / name
         if (folder / "stamp").exists():
             write_page(name, card, folder)
-
-
-def digest(*texts: str) -> str:
-    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
 
 def _files() -> list[Path]:
