@@ -69,7 +69,7 @@ def _card(env: Any, kind: str, name: str, card: dict[str, Any]) -> list[nodes.No
     title = programs.title(kind, name)
     if kind == "demos":
         picture = f"demos/images/thumb/sphx_glr_{name}_thumb.png"
-        off = judged.told(name)
+        off = judged.told(name, card.get("assertions", (0,)))
         env.note_dependency(str(judged.FOLDER / f"{name}.json"))
     else:
         drawn = [file for file in studies.pictures(name) if file.suffix != ".mp4"]
