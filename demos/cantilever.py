@@ -1,13 +1,13 @@
-"""A cantilever bends so far under a dead load that its tip almost points down.
+"""A cantilever bends under a dead load until its tip almost points down.
 
 The beam, 10 m by 1 m, carries P = 100 kN at its free end: PL²/EI = 10. Its points turn by 80° and
 pass through many cells. The exact shape of a thin beam is Euler's elastica,
 
     EI θ″ = −P cos θ,  θ(0) = 0,  θ′(L) = 0,
 
-with the slope θ along the arc; its tip ends 0.811 L below where it was and has come 0.555 L closer
-to the support (Bisshopp & Drucker 1945, doi 10.1090/qam/13360). A beam in plane strain that is only
-ten times as long as deep also shears and stretches: conforming elements say 0.828 L.
+with the slope θ along the arc. Its tip falls by 0.811 L, and comes 0.555 L closer to the support
+(Bisshopp & Drucker 1945, doi 10.1090/qam/13360). This beam is only ten times as long as deep, so it
+also shears and stretches. Conforming elements give a fall of 0.828 L.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ end = mpm.Surface(points, lambda x: np.isclose(x[0], 10), normal=(1, 0))
 P = fem.Constant(grid, (0.0, 0.0))  # N/m
 rubber = mpm.materials.Hencky(E=12e6, nu=0.2)
 F = mpm.momentum(rubber, points, u, v) + end.force(P, v)
-# Without it a point that enters a cell by a sliver gives its nodes next to no stiffness.
+# Without it a point that just enters a cell gives its nodes almost no stiffness.
 F += mpm.ghost(points, u, v, gamma=12e6 / 30)
 
 # Rollers let the support shrink and swell; a single node, on the axis, keeps the beam from falling.

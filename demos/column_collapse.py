@@ -2,12 +2,12 @@
 
 Bui, Fukagawa, Sako & Ohno (2008, doi 10.1002/nag.688) piled up small bars, 0.2 m wide and 0.1 m
 high, took the wall away and measured the surface at rest. The weak form is that of a quasi-static
-scene; `Explicit` moves it from one time to the next in as many steps as stability asks for.
+problem. `Explicit` takes as many steps from one time to the next as stability asks for.
 
-Two things make sand run. Its law has no cohesion: at the apex of Mohr–Coulomb's pyramid, where
-points lose contact, the stress is zero, and they fly by their inertia until they are compressed
-again. And it keeps its volume while it is sheared: linear functions are too stiff for that and
-leave the crest too high, unless fbar=True lets them; quadratic splines need no such help.
+Two properties matter. The sand has no cohesion: at the apex of Mohr–Coulomb's pyramid the stress is
+zero, and points there fly freely until they are compressed again. And sand keeps its volume while
+it is sheared. Linear functions are too stiff for this, and leave the crest too high. They need
+fbar=True. Quadratic splines do not.
 """
 
 import numpy as np

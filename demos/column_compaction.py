@@ -1,14 +1,14 @@
 """A column of soft soil compacts to half its height under its own weight.
 
-The material points sink through the grid, which stays as it is, and leave more and more of its
-cells empty. In one dimension equilibrium alone gives the stress in the end, whatever the law: a
-point of first height Y carries what is above it,
+The grid stays as it is. The material points move down through it, and its upper cells become
+empty. In one dimension equilibrium alone gives the stress, for each law: a point of first height Y
+carries the weight above it,
 
     σ(Y) = −ρ₀ g (50 m − Y).
 
-GIMP spreads a point over a domain, so that it takes part in two cells while it passes from one to
-the other. Try basis="linear": points that jump from cell to cell make the stress err by 8 % instead
-of 0.06 %, and more cells do not help (Charlton, Coombs & Augarde 2017,
+GIMP gives a point a domain. While the point crosses from cell to cell, its domain is in both cells,
+and its force changes smoothly. Try basis="linear": forces jump there, and the error of the
+stress is 8 % instead of 0.06 %. More cells do not help (Charlton, Coombs & Augarde 2017,
 doi 10.1016/j.compstruc.2017.05.004).
 """
 

@@ -1,18 +1,18 @@
 """A cone penetrates clay, and its resistance is Teh & Houlsby's.
 
 A smooth penetrometer of 60° and the radius R is pressed into weightless clay (Tresca, I_r = G/c_u
-= 100). Where it is deep and does not feel the surface it carries
+= 100). Far below the surface its resistance is
 
     q_c/c_u = 4/3 (1 + ln I_r)(1.25 + I_r/2000) = 9.72
 
-(Teh & Houlsby 1991). It is wished in place, 6 R deep, and goes on by 5 R.
+(Teh & Houlsby 1991). The cone starts at a depth of 6 R, and moves down by 5 R.
 
-Points are rings about the axis, and a rigid body's meridian touches the corners of their domains.
-F-bar keeps clay that flows at constant volume from locking. The clay goes past the cone by more
-than it can be stretched: its domains only follow the volume, or those from under the tip would be
-drawn out along the cone's side. Ghost penalties hold cells that the cone's surface cuts, and resist
-what flows there in each step: a tenth of the usual factor is enough. Cells of R/2 are coarse;
-`demos/studies/cone_penetration.py` takes finer ones, sand, and three dimensions.
+The problem is axisymmetric. The cone touches the corners of the points' domains. F-bar prevents
+locking, because the clay flows at constant volume. The clay at the cone is stretched very far. So
+the domains follow the volume only: otherwise they would become long and thin along the cone. The
+ghost penalty stabilises the cells that the cone's surface cuts, but it also resists the flow. A
+tenth of the usual factor is enough. Cells of R/2 are coarse: `demos/studies/cone_penetration.py`
+takes finer cells, sand, and three dimensions.
 """
 
 import math

@@ -1,16 +1,16 @@
 """A layer of saturated clay settles by 21 % of its height as its water drains.
 
-The layer is 1 m thick, stands on a sealed base between smooth walls and drains at its top, where an
-even load of 0.3 M is put on at once. At first the water carries it all. Then it leaves upwards, and
-the soil takes the load over, until the layer is 21 % thinner.
+The layer is 1 m thick, stands on a sealed base between smooth walls and drains at its top. An even
+load of 0.3 M acts on the top at once. At first the water carries the whole load. Then the water
+leaves through the top, and the soil takes over the load, until the layer is 21 % thinner.
 
 With Hencky's law and the hydraulic conductivity k = k₀ λ³/(1 − ln λ) of a stretch λ the exact
 solution is known: λ obeys the linear heat equation, and the degree of consolidation
 
     U = 1 − Σ 2/M² exp(−M² T),    M = (2m + 1) π/2,    T = k₀ M t/(γ_w H²),
 
-is Terzaghi's at any strain. The grid knows nothing of the layer's top: load and drainage act on the
-body's own surface, which sinks through the cells.
+is Terzaghi's at any strain. Load and drainage act on the surface of the body, which moves down
+through the cells.
 """
 
 import numpy as np

@@ -1,20 +1,20 @@
 """A slope of soft clay fails when it is loaded fast, and stands when its water has time to leave.
 
 A slope of 60°, 6 m high, stands under water, and its weight grows as in a centrifuge. Pressures are
-those beyond the hydrostatic one, and the weight is the buoyant one. At first the clay is weightless
-and held together by the suction p₀ of its water: normally consolidated Cam-Clay, whose undrained
+excess pressures, and the weight is the buoyant weight. At first the clay is weightless, and the
+suction p₀ of its water holds it together. It is normally consolidated Cam-Clay. Its undrained
 strength is known,
 
     c = M/√3 · p₀ (1/2)^(1 − κ̂/λ̂),
 
-and the same everywhere. So Taylor's (1937) number must hold if no water leaves: the slope stands as
-long as N = γ'H/c is below 1/0.191 = 5.24. Nothing in the form says so. Shear wants to compress the
-clay, the water bears what the grains let go, and that is all the strength there is.
+and the same at each point. So Taylor's (1937) number must hold if no water leaves: the slope stands
+as long as N = γ'H/c is below 1/0.191 = 5.24. The undrained strength is not in the form. It follows
+from the law and from the water, which keeps the volume.
 
-Slowly, the suction at the surface being kept, the weight goes to the grains instead. The clay
-settles, grows stronger than its load, and does not fail.
+In slow loading the surface keeps its suction, and the grains take over the weight. The clay
+settles, becomes stronger, and does not fail.
 
-Both rates are one form: only the times of the steps differ, by seven orders of magnitude.
+Both rates have the same form. Only the times of the steps differ, by seven orders of magnitude.
 """
 
 import math

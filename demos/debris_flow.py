@@ -2,8 +2,8 @@
 
 The valley is a raster of heights. Here a formula makes the raster; `mpm.Terrain.from_raster` also
 takes a GeoTIFF or an ESRI ASCII grid. The bed is a rigid body of triangles through the heights. The
-debris that is let go is a lens on top of the bed. Points fill the space between both surfaces, with
-the exact volume under the bilinear surfaces.
+debris is a lens on top of the bed. Points fill the space between both surfaces, with the exact
+volume under the bilinear surfaces.
 
 A rigid wall closes the valley. Bed and wall record the forces of the points on them. So there are
 two ways to the momentum of the debris along the valley: from the velocities of the points, and

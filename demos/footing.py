@@ -1,14 +1,14 @@
 """A strip footing on clay carries 5.14 times the cohesion, and not more.
 
 A smooth rigid strip of half-width 1 m is pressed into weightless clay of Tresca's law, c = 10 kPa.
-Prandtl (1921) found the load at which the ground flows from under it and up beside it,
+Prandtl (1921) found the load at which the ground flows from below the strip to its side,
 
     q = (2 + π) c = 5.14 c,
 
-whatever the stiffness. Where the ground flows its volume stays, and linear functions cannot
-follow: each point in a cell is a constraint, and there are more of them than unknowns. The ground
-*locks*: try fbar=False, with which the load is 7 % too high here, and rises. F-bar takes the change
-of volume from the mean over a cell (de Souza Neto et al. 1996, doi 10.1016/0020-7683(95)00259-6).
+for any stiffness. The ground keeps its volume while it flows. Each point in a cell is then a
+constraint, and linear functions have fewer unknowns than constraints. The ground *locks*. Try
+fbar=False: the load is 7 % too high here, and still rises. F-bar takes the change of volume from
+the mean over a cell (de Souza Neto et al. 1996, doi 10.1016/0020-7683(95)00259-6).
 """
 
 import numpy as np

@@ -1,15 +1,16 @@
 """A strip curls up because one half of it grows: an energy of one's own, in UFL.
 
-The lower half of a strip, 16 m long and 1 m thick, grows along its axis by ε = 10 %, the upper half
-does not. Neither can have its way: the strip bends, with the curvature of two bonded layers that
-are equally thick and stiff (Timoshenko 1925, doi 10.1364/JOSA.11.000233),
+A strip is 16 m long and 1 m thick. Its lower half grows along its axis by ε = 10 %. Its upper half
+does not grow. So the strip bends, with the curvature of two bonded layers that are equally thick
+and stiff (Timoshenko 1925, doi 10.1364/JOSA.11.000233),
 
-    κ = 3/2 · ε / (1 m),
+    κ = 3/2 · ε / (1 m).
 
-so that its end turns by 2.4, or 137°. The grid stays as it is.
+Its end turns by 2.4, or 137°. The grid stays as it is.
 
-Nothing about growth or elasticity here is from the library: it splits the form into what is done at
-points and at nodes, derives flux and tangent, compiles them, and moves the points.
+Growth and elasticity are UFL in this program, and not part of the library. The library splits the
+form into its parts at points and at nodes, derives flux and tangent, compiles them, and moves the
+points.
 """
 
 import numpy as np

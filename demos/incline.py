@@ -1,15 +1,15 @@
-"""A block slides down a slope, and friction takes what it has to.
+"""A block slides down a slope with friction.
 
-A rigid slope of 45° carries an elastic block under Coulomb's friction, μ = 0.3. Gravity is tilted,
-so that the slope is level on the grid. Friction holds the block as far as it goes, and then it is
-let go: after the time t it has come down by
+An elastic block lies on a rigid slope of 45°, with Coulomb's friction, μ = 0.3. Gravity is tilted,
+so that the slope is level on the grid. The block comes to rest on the slope first. Then it slides:
+after the time t it has come down by
 
     d = ½ g t² (sin 45° − μ cos 45°).
 
-Corners of the points' domains touch the slope, which is a rigid body: a surface, known to all
-ranks, that here stands still. A penalty presses them out, and each carries along the force that
-friction has on it, of which μ times the pressure bounds what sticks. The tangent of that is not
-symmetric; the solver is told by the form. The work that friction takes is μ N times the way.
+The slope is a rigid body that stands still. It touches the corners of the points' domains. The
+normal force on a corner is a penalty. The force of friction is at most μ times the normal force.
+The tangent of friction is not symmetric, and the form tells this to the solver. The work of
+friction is μ N times the way.
 """
 
 import math

@@ -5,8 +5,8 @@ weights above and below the water table, and K₀ = 1 − sin φ (Jaky 1944). `D
 effective stress in balance with the effective weight. So the first step moves nothing, and the
 smooth wall at the left carries ∫ K₀ σ'_v dz.
 
-Then the excavation in front of the wall takes its support away. The wall moves by a thousandth of
-its height, and the thrust falls to Rankine's (1857), layer by layer,
+Then the ground in front of the wall is excavated. The wall moves by a thousandth of its height, and
+the thrust falls to Rankine's (1857), layer by layer,
 
     P = ∫ (K_a σ'_v − 2 c √K_a) dz,   K_a = tan²(45° − φ/2).
 

@@ -1,18 +1,18 @@
 """A stabilisation of one's own, in two lines of UFL.
 
-A body overlaps some cells of the grid by a sliver. The functions of such cells carry next to no
-stiffness and mass, so that condition numbers and the critical time step 2/√λ_max hang on where the
-body happens to lie. A stabilisation is a term of the weak form over `points.dS`, the facets beside
-cut cells, which follow the body. A new one is written down in UFL, as here:
+A body may fill a very small part of a cell. The functions of such a cell have almost no stiffness
+and mass. So condition numbers and the critical time step 2/√λ_max depend on the place of the body
+in the grid. A stabilisation is a term of the weak form over `points.dS`, the facets beside cut
+cells. These facets follow the body. Here a new stabilisation is written in UFL:
 
     j(u, v) = f E/(90 h²) · h³ ∫ [[∇u]]·[[∇v]] dS   for the stiffness,
     j(u, v) = ρ/12 · h³ ∫ [[∇u]]·[[∇v]] dS          for the mass.
 
-The jump is that of the increment, so that nothing accumulates, and a linear motion has none. Along
-a line this is the ghost penalty of Coombs (2023, doi 10.1002/nme.7332). With it a bar keeps the
-critical step of a grid of linear elements that nothing cuts, Δt = h/(√3 c) with the wave speed c,
-wherever it lies; without it the step falls to 2·10⁻⁷ h/c. Try another line:
-demos/studies/new_stabilisation.py puts several to the same test in two dimensions.
+The jump is that of the increment, so that no force accumulates, and a linear motion has no jump. In
+one dimension this is the ghost penalty of Coombs (2023, doi 10.1002/nme.7332). With it a bar at any
+place has the critical step of linear elements without cuts, Δt = h/(√3 c) with the wave speed c.
+Without it the step falls to 2·10⁻⁷ h/c. Try another term: demos/studies/new_stabilisation.py tests
+several terms in two dimensions.
 """
 
 import math

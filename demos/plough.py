@@ -1,4 +1,4 @@
-"""A blade is dragged through sand: what it pushes ahead is more than a wall of its width does.
+"""A blade is dragged through sand, and carries more than a wall of its width.
 
 One half of a steel blade, 0.5 m wide and deep, stands in a bed of sand of 44 % relative density,
 whose strength, weight and stiffness follow from that (Brinkgreve, Engin & Engin 2010). The sand is
@@ -6,13 +6,13 @@ at rest at first. A smooth wall would carry Rankine's passive thrust on its widt
 
     P = w (½ K_p γ d² + 2 c √K_p d),   K_p = tan²(45° + φ/2),
 
-where all of the ground flows in planes. The wedge in front of a blade spreads to both sides, rubs
-along what stays, and is heaped up: the blade carries several times as much.
+if the ground flows in vertical planes. The wedge in front of a blade spreads to both sides, slides
+along the sand beside it, and forms a heap. So the blade carries several times as much.
 
-Blade and sand are one form: momentum of the points, and contact of the corners of their domains
-with the rigid body. Its tangent is not symmetric, for friction and for sand, whose dilation is less
-than its friction; the solver is told by the form. The sand's far sides are Signorini plates, which
-push but do not pull.
+Blade and sand are in one form: the momentum of the points, and the contact of the corners of their
+domains with the rigid body. Its tangent is not symmetric, because of friction, and because the sand
+dilates less than its friction angle. The form tells this to the solver. The far sides of the sand
+are Signorini plates, which push but do not pull.
 """
 
 import math

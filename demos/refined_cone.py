@@ -1,13 +1,13 @@
 """A cone penetrates clay, and small cells and points go with it.
 
-The cone of `cone.py`: smooth, 60°, radius R, pressed into weightless clay (Tresca, I_r = 100) from
-6 R deep on. Where it is deep it carries, after Teh & Houlsby (1991),
+The cone is that of `cone.py`: smooth, 60°, radius R. It starts at a depth of 6 R in weightless clay
+(Tresca, I_r = 100). Far below the surface its resistance is, after Teh & Houlsby (1991),
 
     q_c/c_u = 4/3 (1 + ln I_r)(1.25 + I_r/2000) = 9.72.
 
-The grid has cells of 2 R. Near the cone they are halved twice, `mpm.near(cone, R/2)`, where the
-cone is at the start of a step. Points split where smaller cells come, and mass stays to the last
-digit. The film shows the leaves that follow.
+The grid has cells of 2 R. Near the cone they are halved twice, by `mpm.near(cone, R/2)`. The small
+cells follow the cone at the start of each step. Points split where cells become smaller, and the
+mass stays the same to the last digit. The film shows the small cells that follow.
 """
 
 import math

@@ -1,7 +1,7 @@
 """A landslide runs down a slope and hits a wall: the history of the force on the wall.
 
-A block of dry sand, 12 m long and 6 m high, is let go on a slope of 35°. The block collapses and
-runs 18 m down the slope, with a coefficient of friction of tan 20°. A smooth rigid wall stops it.
+A block of dry sand, 12 m long and 6 m high, starts at rest on a slope of 35°. It collapses and runs
+18 m down the slope, with a coefficient of friction of tan 20°. A smooth rigid wall stops it.
 The front runs up the wall, and the rest comes to rest behind the front.
 
 Gravity is tilted, so that the slope is level on the grid. Slope and wall are rigid bodies. Each

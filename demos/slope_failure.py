@@ -1,14 +1,14 @@
 """A slope of clay stands up to Taylor's height, then slides.
 
-A cutting of 60°, 6 m high, in clay of the undrained strength c = 20 kPa. By slip circles Taylor
+A cutting of 60° is 6 m high, in clay of the undrained strength c = 20 kPa. By slip circles Taylor
 (1937) found that such a slope stands as long as
 
     N = ρ g H / c  is below  1 / 0.191 = 5.24.
 
 Here gravity grows until N = 7. A computation of small strains ends at the limit, where no
-equilibrium is left. With large ones the slope slides until the heap in front of it carries what the
-clay cannot. On the way points enter new cells by slivers, which give the nodes of these cells next
-to no stiffness. The ghost penalty ties such nodes to their neighbours.
+equilibrium is left. At large strain the slope slides until the heap in front of it supports it. On
+the way points enter new cells, and first fill a very small part of them. The nodes of these cells
+have almost no stiffness. The ghost penalty ties these nodes to their neighbours.
 """
 
 import numpy as np

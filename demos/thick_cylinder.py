@@ -1,4 +1,4 @@
-"""A thick tube yields from the inside outwards, on squares that know nothing of circles.
+"""A thick tube yields from the inside outwards, on a grid of squares.
 
 A tube of steel, radii a = 0.1 m and b = 0.2 m, is under internal pressure p. It yields for r ≤ c,
 and by Hill's solution (de Souza Neto, Perić & Owen 2008, section 7.5.1), with Y = 2σ_y/√3,
@@ -6,7 +6,7 @@ and by Hill's solution (de Souza Neto, Perić & Owen 2008, section 7.5.1), with 
     p = Y [ln(c/a) + (1 − c²/b²)/2],  u_b = Y c² (1 − ν²)/(E b),  p_lim = Y ln(b/a).
 
 Finite elements need a curved mesh for this. Beyond p_lim there is no equilibrium, so the pressure
-cannot be given: it is an unknown, and what is given is how far the outer face moves in a step.
+cannot be prescribed. It is an unknown, and each step prescribes the displacement of the outer face.
 """
 
 import numpy as np

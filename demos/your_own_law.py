@@ -1,14 +1,14 @@
 """A law of one's own: soil that grows stiffer the more it is compressed.
 
-A law takes three principal logarithmic strains and gives three principal Kirchhoff stresses and
-their nine derivatives. Numba compiles it; the rotation into principal axes, the kinematics of large
-strain, the weak form's tangent and the state of the points are the library's. Here the mean stress
-grows exponentially with the volume strain ε_v, as e–log p lines of soils do,
+A law takes three principal logarithmic strains. It gives three principal Kirchhoff stresses and
+their nine derivatives. Numba compiles it. The library does the rest: rotation into principal axes,
+kinematics of large strain, tangent, state of the points. Here the mean stress grows exponentially
+with the volume strain ε_v, as e–log p lines of soils do,
 
     τ_m = −p₀ (exp(−ε_v/κ) − 1),  dev τ = 2 G dev ε.
 
-It is put to the test in one dimension: a column of 20 m under its own weight, where equilibrium
-alone gives the Cauchy stress, σ(Y) = −ρ₀ g (20 m − Y), and the law then the strain at every height.
+The test is a column of 20 m under its own weight. Equilibrium alone gives the Cauchy stress,
+σ(Y) = −ρ₀ g (20 m − Y), and the law then gives the strain at each height.
 
 demos/studies/your_own_law.py has a law that yields and hardens, and one that needs no kernel,
 because UFL derives it from an energy and a yield function.

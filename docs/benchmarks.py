@@ -143,21 +143,30 @@ def shown(row: Row, figures: list[float]) -> str:
     return re.sub(r"e(-?)\+?0*(\d)", r"e\1\2", row.shown.format(*figures))
 
 
+def origin(commit: str, machine: str) -> str:
+    """Where figures come from, in a sentence."""
+    at = "a commit that was not recorded," if commit == "unknown" else commit
+    return f"Taken at {at} on {machine}."
+
+
 def render(taken: dict[str, Taken], latest: str | None = None) -> str:
     """The page.
 
     Args:
         taken: Figures by the name of their row.
-        latest: Commit of the rows that need no mark; the one that most rows have by default.
+        latest: Commit of the rows that need no mark; the one that most rows have by default, and
+            where it is not known.
     """
+    latest = None if latest == "unknown" else latest
     origins = [(t.commit, t.machine) for t in taken.values()]
     counted = sorted(set(origins), key=lambda o: (o[0] != latest, -origins.count(o), o))
-    marks = {origin: "" if k == 0 else f" [{k}]" for k, origin in enumerate(counted)}
+    marks = {one: "" if k == 0 else f" [{k}]" for k, one in enumerate(counted)}
     text = HEAD
     for k, (at, on) in enumerate(counted):
-        text += f"\n[{k}] Taken at {at} on {on}.\n" if k else f"\nTaken at {at} on {on}.\n"
+        text += f"\n[{k}] {origin(at, on)}\n" if k else f"\n{origin(at, on)}\n"
     part = ""
-    for row in ROWS:
+    parts = list(dict.fromkeys(row.part for row in ROWS))
+    for row in sorted(ROWS, key=lambda row: parts.index(row.part)):
         if row.part != part:
             part = row.part
             text += f"\n## {part}\n\n| claim | ours | reference | command |\n|---|---|---|---|\n"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -97,6 +99,19 @@ def rim(points: mpm.MaterialPoints, radius: float, segments: int = 20000) -> mpm
     return mpm.Surface.from_arrays(points, offset, area, name="rim")
 
 
+def draw(args: Any, columns: dict[str, Any], names: Sequence[str]) -> None:
+    """Draw the columns over time, each beside its exact values."""
+    path = args.output / f"{Path(sys.argv[0]).stem}.png"
+    with mpm.figure(path, 4.5, 3.0) as (_, axes):
+        for k, name in enumerate(names):
+            if f"{name}_exact" in columns:
+                axes.semilogx(args.times, columns[f"{name}_exact"], f"C{k}-", lw=0.9)
+            label = name.replace("_", " ")
+            axes.semilogx(args.times, columns[name], f"C{k}o", ms=4, mfc="none", label=label)
+        axes.set(xlabel="T = c_v t/a²", ylabel="circles: computed, lines: exact")
+        axes.legend()
+
+
 def report(args: Any, problem: Any, columns: dict[str, Any], **more: Any) -> None:
     """Print the columns by time, and write them and what the solver took."""
     names = [name for name in columns if not name.endswith("_exact")]
@@ -108,6 +123,8 @@ def report(args: Any, problem: Any, columns: dict[str, Any], **more: Any) -> Non
             beside = "" if exact is None else f" ({exact[k]:.5f})"
             cells.append(f"{columns[name][k]:.5f}{beside}")
         say(f"{t:9g}  " + "".join(f"{cell:>22}" for cell in cells))
+    if not args.no_plot and len(args.times) > 1:
+        draw(args, columns, names)
     lists = {name: np.asarray(values).tolist() for name, values in columns.items()}
     finish(args, {**lists, **more, **solver_figures(problem)})
 

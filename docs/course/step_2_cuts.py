@@ -1,9 +1,9 @@
 """Step 2. Cells that the body cuts, and what saves them
 
-The grid does not fit the body. Some cells are cut, and a cut can be a sliver. The functions of a
-sliver carry almost no stiffness and no mass. Then the matrices are badly conditioned, and an
-explicit step must be very small. Here a bar is put at several places of the grid, and you see what
-a ghost penalty changes.
+The grid does not fit the body. Some cells are cut, and the body may fill a very small part of a
+cell, a sliver. The functions of a sliver have almost no stiffness and no mass. Then the matrices
+are badly conditioned, and an explicit step must be very small. Here a bar is put at several places
+of the grid, and you see what a ghost penalty changes.
 """
 
 # %%

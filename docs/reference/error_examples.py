@@ -7,6 +7,7 @@ page of errors. `block` and `problem` are what all of them start from.
 from __future__ import annotations
 
 import math
+import os
 import pathlib
 
 import numpy as np
@@ -17,6 +18,9 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 
 SOIL = mpm.materials.Hencky(E=1e5, nu=0.3)
+
+# How many ranks the others need
+RANKS = {"DifferentCallsError": 2, "ImbalanceWarning": 3}
 
 
 def block(high=0.5, basis="gimp", cells=4):
@@ -39,6 +43,15 @@ def ParameterError():
 def UnknownNameError():
     points, _ = block()
     points["velocty"]
+
+
+def DifferentCallsError():
+    points, V = block()
+    soil = problem(points, V, *mpm.fixed(V, "bottom"))
+    if MPI.COMM_WORLD.rank == 0:
+        soil.step()
+    else:
+        soil.save("block.npz")
 
 
 def FieldShapeError():
@@ -80,6 +93,12 @@ def PointsOutsideGridError():
     moved = problem(points, V, *away, *still)
     for _ in range(6):
         moved.step()
+
+
+def MissingPackageError():
+    os.environ["PATH"] = ""  # as on a machine without gfortran
+    pathlib.Path("clay.f90").write_text("subroutine umat(...)")
+    mpm.materials.UMAT("clay.f90", properties=[], state=0)
 
 
 def StateError():
@@ -196,3 +215,10 @@ def SingularMassWarning():
     flying = mpm.Newmark(F, V.increment, points, mapping="flip", ghost_mass=0.0)
     for t in mpm.times(10.0, dt=0.05):
         flying.step(t)
+
+
+def ImbalanceWarning():
+    grid = mesh.create_unit_square(MPI.COMM_WORLD, 16, 16)  # triangles
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.2, 0.2)), per_cell=2, density=1.0)
+    V = mpm.Space(grid, "linear")
+    problem(points, V, *mpm.fixed(V, "bottom")).step()

@@ -86,6 +86,27 @@ def forget(place: Path, kept: set[Path], patterns: tuple[str, ...]) -> None:
                 file.unlink()
 
 
+def digest(*texts: str) -> str:
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+
+
+def is_made(page: Path, *sources: Path) -> bool:
+    """Whether a generated page is there, made with this package and these sources.
+
+    If not, the caller makes it, and calls `mark_made`.
+    """
+    stamp = BUILD / "made" / page.name
+    return page.exists() and stamp.exists() and stamp.read_text() == _key(*sources)
+
+
+def mark_made(page: Path, *sources: Path) -> None:
+    write(BUILD / "made" / page.name, _key(*sources))
+
+
+def _key(*sources: Path) -> str:
+    return digest((BUILD / "package").read_text(), *map(Path.read_text, sources))
+
+
 def renew_results() -> None:
     """Lets all examples run again where the package has changed since they ran."""
     digest = hashlib.sha256()
@@ -110,7 +131,8 @@ def check_cards() -> None:
 
 def main() -> None:
     SOURCE.mkdir(parents=True, exist_ok=True)
-    forget(SOURCE, copy_pages(), PAGES)
+    made = {SOURCE / "reference" / name for name in ("errors.md", "laws.md")}
+    forget(SOURCE, copy_pages() | made, PAGES)
     forget(BUILD / "programs", copy_programs(), ("*/*.py",))
     renew_results()
     import api

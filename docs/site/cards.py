@@ -69,12 +69,12 @@ def _card(env: Any, kind: str, name: str, card: dict[str, Any]) -> list[nodes.No
     title = programs.title(kind, name)
     if kind == "demos":
         picture = f"demos/images/thumb/sphx_glr_{name}_thumb.png"
-        off = judged.told(name)
+        off = judged.told(name, card.get("assertions", (0,)))
         env.note_dependency(str(judged.FOLDER / f"{name}.json"))
     else:
         drawn = [file for file in studies.pictures(name) if file.suffix != ".mp4"]
         picture = f"studies/pictures/{drawn[0].name}" if drawn else ""
-        off = "; ".join(studies.measured(card)).replace("**", "")
+        off = "; ".join(studies.measured(card)).replace("**", "") or studies.printed(name, card)
     data = " ".join(f'data-{key}="{html.escape(card[key])}"' for key in FILTERS)
     parts: list[nodes.Node] = [raw(f'<div class="gallery-card" {data}>')]
     if picture and Path(env.srcdir, picture).exists():

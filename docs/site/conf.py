@@ -73,12 +73,13 @@ codeautolink_concat_default = True
 codeautolink_inventory_map = api.places()
 
 # programs
-run = os.environ.get("DOLFINMPM_SITE_EXAMPLES") != "none"
+wanted = os.environ.get("DOLFINMPM_SITE_EXAMPLES", r"\.py$")  # "none", or what fits their paths
+run = wanted != "none"
 programs = SITE.parent / "_build" / "programs"
 sphinx_gallery_conf = {
     "examples_dirs": [str(programs / "course"), str(programs / "demos")],
     "gallery_dirs": ["course", "demos"],
-    "filename_pattern": r"\.py$",
+    "filename_pattern": wanted,
     "plot_gallery": str(run),
     "image_scrapers": (NewFiles(),),
     "reset_modules": (),

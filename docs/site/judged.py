@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,14 @@ def judge(code: str, names: dict[str, Any]) -> list[dict[str, Any]]:
                 if parts := _parts(left):
                     entry |= zip(("found", "reference"), (_value(p, names) for p in parts))
                 found.append(entry)
+            case ast.Assert(ast.Compare(left, [ast.Eq()], [ast.Constant(float(exact))])):
+                found.append(
+                    {
+                        "assertion": ast.unparse(node.test),
+                        "deviation": abs(_value(left, names) - exact),
+                        "allowed": 0.0,
+                    }
+                )
             case ast.Assert(ast.Compare(least, [ast.Lt(), ast.Lt()], [value, most])):
                 found.append(
                     {
@@ -68,13 +77,22 @@ def keep(name: str, entries: list[dict[str, Any]]) -> None:
     (FOLDER / f"{name}.json").write_text(json.dumps(entries))
 
 
-def told(name: str) -> str:
-    """The judgement in a sentence, empty where the example has not run."""
+def told(name: str, which: Sequence[int] = (0,)) -> str:
+    """The judgements of an example in a sentence, empty where the example has not run.
+
+    Parameters
+    ----------
+    name
+        The example.
+    which
+        Numbers of its assertions.
+    """
     file = FOLDER / f"{name}.json"
     entries = json.loads(file.read_text()) if file.exists() else []
-    if not entries:
-        return ""
-    entry = entries[0]
+    return "; and ".join(_told(entries[k]) for k in which) if entries else ""
+
+
+def _told(entry: dict[str, Any]) -> str:
     if "between" in entry:
         return "found {:.4g}, between {:g} and {:g}".format(entry["found"], *entry["between"])
     allowed = f"allowed {entry['allowed']:.2g}"

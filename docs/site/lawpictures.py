@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import assemble
+
 ROOT = Path(__file__).resolve().parents[2]
 P = 100e3  # first pressure (Pa)
 
@@ -97,7 +99,9 @@ def draw(law: Any, path: Path, pressure: float) -> None:
 
 def write_page(write: Any, source: Path, runs: bool) -> None:
     """Write reference/laws.md, and the pictures if programs run or a picture is missing."""
-    folder = source / "reference" / "laws"
+    folder, page = source / "reference" / "laws", source / "reference" / "laws.md"
+    sources = Path(__file__), *sorted((ROOT / "demos" / "umat").glob("*.f*"))
+    runs = runs and not assemble.is_made(page, *sources)
     lines = [
         "# Laws by element tests",
         "",
@@ -113,4 +117,6 @@ def write_page(write: Any, source: Path, runs: bool) -> None:
         if runs or not picture.exists():
             draw(law, picture, 0.0 if name == "NeoHookean" else P)
         lines += [f"## {name}", "", f"`{text}`", "", f"![{name}](laws/{name}.png)", ""]
-    write(source / "reference" / "laws.md", "\n".join(lines))
+    write(page, "\n".join(lines))
+    if runs:
+        assemble.mark_made(page, *sources)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +44,36 @@ def last_picture(file: Path, target: Path) -> None:
     ffmpeg("-sseof", "-1", "-i", str(file), "-update", "1", str(target))
 
 
+# files that this process has opened to write, or has given to another program, since the last block
+WRITTEN: set[Path] = set()
+ENDINGS = {".png", ".gif", ".mp4"}
+
+
+def _watch(event: str, arguments: tuple[Any, ...]) -> None:
+    """Keeps the pictures and films that this process writes: see `sys.addaudithook`."""
+    if event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"):
+        named = [arguments[0]]
+    elif event == "os.rename":
+        named = [arguments[1]]
+    elif event == "subprocess.Popen":
+        named = list(arguments[1])
+    else:
+        return
+    for name in named:
+        if isinstance(name, (str, Path)) and Path(name).suffix in ENDINGS:
+            WRITTEN.add(Path(name).absolute())
+
+
+sys.addaudithook(_watch)
+
+
 class NewFiles:
-    """Takes the pictures and films that are newer than the block of code before.
+    """Takes the pictures and films that the block of code before has written to output/.
 
-    sphinx-gallery calls it after each block of a program, in the folder of the program, and again
-    for the next program. It knows figures of pyplot only; those of dolfinmpm are files.
+    sphinx-gallery calls it after each block of a program, in the folder of the program. It knows
+    figures of pyplot only; those of dolfinmpm are files. All programs write to one folder, and
+    several processes run them at once, so neither names nor times tell whose a file is.
     """
-
-    def __init__(self) -> None:
-        self.seen: dict[Path, int] = {}
 
     def __repr__(self) -> str:
         return "NewFiles"
@@ -60,12 +82,10 @@ class NewFiles:
         program = Path(variables["src_file"])
         if entries := judged.judge(block[1], vars(variables["fake_main"])):
             judged.keep(program.stem, entries)
+        mine = sorted(f for f in WRITTEN if f.parent.name == "output" and f.is_file())
+        WRITTEN.clear()
         pictures, films = [], ""
-        for file in sorted((program.parent / "output").glob("*")):
-            time = file.stat().st_mtime_ns
-            if file.suffix not in {".png", ".gif", ".mp4"} or self.seen.get(file) == time:
-                continue
-            self.seen[file] = time
+        for file in mine:
             target = Path(next(variables["image_path_iterator"])).with_suffix(".png")
             if file.suffix == ".png":
                 shutil.copy(file, target)
@@ -73,4 +93,5 @@ class NewFiles:
             else:
                 films += film(file, f"{program.stem}_{file.stem}")
                 last_picture(FILMS / f"{program.stem}_{file.stem}.mp4", target)
+        WRITTEN.clear()
         return figure_rst(pictures, conf["src_dir"]) + films

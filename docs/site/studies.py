@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,7 +15,7 @@ from typing import Any
 
 import cards
 import programs
-from assemble import BUILD, ROOT, SOURCE, write
+from assemble import BUILD, ROOT, SOURCE, digest, write
 
 sys.path.insert(0, str(ROOT / "docs"))
 
@@ -45,10 +45,6 @@ def run_studies(run: bool = True) -> None:
             write_page(name, card, folder)
 
 
-def digest(*texts: str) -> str:
-    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
-
-
 def _files() -> list[Path]:
     return sorted((ROOT / "demos" / "studies").glob("*.py"))
 
@@ -75,17 +71,36 @@ def pictures(name: str) -> list[Path]:
     return sorted(file for file in files if file.suffix in {".png", ".gif", ".mp4"})
 
 
+def printed(name: str, card: dict[str, Any]) -> str:
+    """What the study has printed of itself at its small size, where no row measures it.
+
+    Raises
+    ------
+    SystemExit
+        It has not printed what the card's `printed` describes.
+    """
+    file = BUILD / "studies" / name / "printed.txt"
+    if "printed" not in card or not file.exists():
+        return ""
+    found = re.search(card["printed"], file.read_text())
+    if not found:
+        raise SystemExit(f"docs/site/gallery.toml: {name} has not printed {card['printed']!r}")
+    return "at a small size: " + "; ".join(found.groups())
+
+
 def measured(card: dict[str, Any]) -> list[str]:
     """The rows of docs/benchmarks.md that the study measures: claim, figures, reference."""
     from benchmarks import ROWS, shown
+    from measured import claim
 
     rows = {row.name: row for row in ROWS}
     kept = json.loads((ROOT / "docs" / "benchmarks.json").read_text())
     lines = []
-    for name in card["rows"]:
+    for place, name in enumerate(card["rows"]):
         row = rows[name]
         reference = f" ({row.reference})" if row.reference else ""
-        lines.append(f"{row.claim}: **{shown(row, kept[name]['figures'])}**{reference}")
+        told = claim(row, ROWS, card["rows"][:place])
+        lines.append(f"{told}: **{shown(row, kept[name]['figures'])}**{reference}")
     return lines
 
 

@@ -286,7 +286,81 @@ def tangents() -> None:
         )
 
 
-PARTS = (active, bases, cuts, shear, locking, mappings, newton, tangents)
+def costs() -> None:
+    """Processor time and iterations of one slope, by basis and by stabilisation (printed)."""
+    import time
+
+    bases = ("linear", "gimp", "bspline2", "bspline3")
+    kinds = ("none", "ghost", "aggregation", "extended", "weak-aggregation", "soft")
+    cases = [(basis, "ghost") for basis in bases] + [("gimp", kind) for kind in kinds]
+    cases = list(dict.fromkeys(cases))
+    taken: dict[tuple[str, str], list[float]] = {case: [] for case in cases}
+    told: dict[tuple[str, str], str] = {}
+    for _ in range(4):  # the first run compiles; the others take turns under the same load
+        for case in cases:
+            problem, gravity = _slope(*case)
+            began = time.process_time()
+            try:
+                for share in (0.25, 0.5, 0.75, 1.0):
+                    gravity.value[1] = -9.81 * share
+                    problem.step()
+                end = "comes to the end"
+            except mpm.errors.DolfinMPMError as error:
+                end = f"fails ({type(error).__name__})"
+            taken[case].append(time.process_time() - began)
+            rows = problem.history
+            told[case] = f"{end}, {sum(row.iterations for row in rows)} iterations"
+    unit = min(taken["gimp", "ghost"][1:])
+    points = problem.points.total
+    print(f"{points} points, unit {1e6 * unit / 4 / points:.1f} µs per point and step")
+    for case in cases:
+        ratio = min(taken[case][1:]) / unit
+        print(*case, f"time {ratio:.2f}, {told[case]}")
+
+
+def _slope(basis: str, stabilisation: str):
+    """A slope of Mohr–Coulomb soil whose face cuts cells, and its gravity."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (16, 8)], (96, 48), QUADRILATERAL)
+    body = mpm.Polygon([(0, 0), (16, 0), (16, 2.1), (11, 2.1), (6, 6.1), (0, 6.1)])
+    points = mpm.fill(grid, body, per_cell=2, density=2000.0)
+    V = mpm.Space(grid, basis=basis)
+    u, v = V.increment, V.test
+    gravity = fem.Constant(grid, (0.0, 0.0))
+    soil = mpm.materials.MohrCoulomb(50e6, 0.3, 9e3, 25.0, dilation_angle=0.0)
+    F = mpm.momentum(soil, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    options = {"stabilisation": stabilisation, "tolerance": 1e-6, "max_halvings": 3}
+    return mpm.QuasiStatic(F, u, points, bcs, **options), gravity
+
+
+def leaves() -> None:
+    """Leaves and points beside a disc that is pressed into the ground."""
+    grid = mpm.create_lattice(COMM, [np.arange(7.0), np.arange(5.0)])
+    disc = mpm.RigidBody(mpm.Disc((3.0, 3.3), 0.8), increment=(0.0, 0.0))
+    V = mpm.Space(grid, "gimp", refine=mpm.near(disc, 0.25, reach=0.0), levels=2)
+    ground = mpm.Box((0, 0), (6, 3)) - mpm.Disc((3.0, 3.3), 0.8)
+    points = mpm.fill(grid, ground, per_cell=2, density=1.0, refine=V)
+    law = mpm.materials.Hencky(E=1.0, nu=0.3)
+    F = mpm.momentum(law, points, V.increment, V.test)
+    basis = mpm.QuasiStatic(F, V.increment, points).activate().fields[0].basis
+    low, high = basis.cell_corners()
+    hanging = basis.node_coordinates()[np.flatnonzero(basis.hangs), :2]
+    print(f"{len(low)} leaves, {len(hanging)} hanging nodes, {points.total} points")
+    with mpm.figure(HERE / "leaves.svg", 4.6, 3.1) as (_, ax):
+        from matplotlib.patches import Circle, Rectangle
+
+        for corner, end in zip(low, high):
+            box = Rectangle(corner, *(end - corner), facecolor="#cfe3f1", edgecolor="0.5", lw=0.5)
+            ax.add_patch(box)
+        ax.add_patch(Circle((3.0, 3.3), 0.8, facecolor="0.85", edgecolor="0.3"))
+        ax.plot(*points["x"].T, ".", ms=2, color="0.2", label="material points")
+        ax.plot(*hanging.T, "o", ms=3.5, mfc="white", color="C1", label="hanging nodes")
+        ax.set(xlim=(0, 6), ylim=(0, 4.2), aspect="equal", xticks=[], yticks=[])
+        ax.grid(False)
+        ax.legend(loc="upper left", frameon=True, framealpha=1.0, borderpad=0.3)
+
+
+PARTS = (active, bases, cuts, shear, locking, mappings, newton, tangents, costs, leaves)
 PICTURES = {f.__name__: f for f in PARTS}
 
 if __name__ == "__main__":

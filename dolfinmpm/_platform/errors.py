@@ -6,6 +6,7 @@ Every check that can fail on some ranks therefore ends in `raise_together`.
 
 from __future__ import annotations
 
+import logging
 import sys
 import warnings
 from collections.abc import Callable
@@ -195,7 +196,22 @@ def warn(comm: MPI.Comm, message: str, category: type[DolfinMPMWarning]) -> None
     frame = sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame, level = frame.f_back, level + 1
-    warnings.warn(message, category, stacklevel=level)
+    if not _unseen():
+        warnings.warn(message, category, stacklevel=level)
+        return
+    logging.captureWarnings(False)
+    try:
+        warnings.warn(message, category, stacklevel=level)
+    finally:
+        logging.captureWarnings(True)
+
+
+def _unseen() -> bool:
+    """Whether warnings go to a logger that shows them to nobody: the import of FFCx does this."""
+    if warnings.showwarning.__module__ != "logging":
+        return False
+    handlers = logging.getLogger("py.warnings").handlers + logging.getLogger().handlers
+    return all(isinstance(handler, logging.NullHandler) for handler in handlers)
 
 
 def call_together(comm: MPI.Comm, function: Callable[[], Result]) -> Result:

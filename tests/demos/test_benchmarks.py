@@ -39,7 +39,12 @@ def test_every_row_has_figures_and_the_page_shows_them(benchmarks):
         else:
             assert f"| {row.claim} | not taken yet |" in page
     for one in taken.values():
-        assert f"Taken at {one.commit} on {one.machine}." in page
+        assert benchmarks.origin(one.commit, one.machine) in page
+
+
+def test_a_part_of_the_page_has_one_table(benchmarks):
+    parts = re.findall("^## (.*)$", (DOCS / "benchmarks.md").read_text(), re.MULTILINE)
+    assert len(parts) == len(set(parts)) > 10
 
 
 def test_readme_has_at_most_eight_figures_and_they_are_those_of_the_page(benchmarks):

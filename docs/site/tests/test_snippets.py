@@ -11,7 +11,7 @@ import pytest
 from conftest import DOCS
 
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-FOLDERS = ("howto",)
+FOLDERS = ("howto", "theory")
 PAGES = {
     str(page.relative_to(DOCS)): "\n".join(blocks)
     for folder in FOLDERS
