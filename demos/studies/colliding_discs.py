@@ -45,6 +45,7 @@ class Input(Moving):
     duration: float | None = option(None, "s, 16 s/m times the radius by default")
     contact: str = option("none", choices=("none", "grid", "gap", "bodies"))
     friction: float = option(0.0, "with contact")
+    penalty: float = positive(5.0, "κ h/E of bodies with fields of their own")
 
     def _check(self):
         R = self.radius
@@ -95,7 +96,7 @@ if own:
     turn = np.linspace(0.0, 2 * np.pi, int(np.ceil(16 * np.pi * R / h)), endpoint=False)
     rim = R * np.column_stack([np.cos(turn), np.sin(turn)])
     rims = [mpm.Boundary.from_polygon(points, x + rim, rule=1) for x in centres]
-    F += mpm.contact_between(rims, u, v, friction=args.friction)
+    F += mpm.contact_between(rims, u, v, friction=args.friction, penalty=args.penalty)
 points.add_field("velocity", (2,), "m/s")
 points["velocity"] = np.where(points["tag"][:, None] == 1, 1.0, -1.0) * args.speed * along
 explicit = {}
