@@ -121,7 +121,7 @@ class Input(Options):
     width: float | None = positive(None, "radius of the ground (m); by the law")
     refine: bool = option(False, "cells that follow the tip, of the size h there")
     zone: float = option(2.5, "width of equal cells, by R", least=1.5)
-    growth: float = option(1.3, "of cells outside of it", above=1)
+    growth: float = option(1.3, "of cells outside of it; 1: all are alike", least=1)
     points_per_cell: int = natural(2, "in each direction")
     basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
     fbar: str | None = option(None, "against locking; by the law", choices=("on", "off", "volumes"))
@@ -378,23 +378,24 @@ def once(args):
 
 
 # %%
-args = Input.parse()
-if args.curve:
-    runs = []
-    for velocity in args.velocities:
-        args.velocity = velocity
-        runs.append({"velocity": velocity, **once(args)[0]})
-    figures = {"runs": runs, **compared(runs)}
-    text = f"drained {figures['drained_ratio']:.2f} times undrained"
-    if "V50" in figures:
-        text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
-        text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
-        text += f"m = {figures['m_fitted']:.2f}"
-    say(text)
-    if not args.no_plot and MPI.COMM_WORLD.rank == 0:
-        draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
-else:
-    figures, scene = once(args)
-    if not args.no_plot and "factor" in figures:
-        draw(args, scene, figures)
-finish(args, figures)
+if __name__ == "__main__":
+    args = Input.parse()
+    if args.curve:
+        runs = []
+        for velocity in args.velocities:
+            args.velocity = velocity
+            runs.append({"velocity": velocity, **once(args)[0]})
+        figures = {"runs": runs, **compared(runs)}
+        text = f"drained {figures['drained_ratio']:.2f} times undrained"
+        if "V50" in figures:
+            text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
+            text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
+            text += f"m = {figures['m_fitted']:.2f}"
+        say(text)
+        if not args.no_plot and MPI.COMM_WORLD.rank == 0:
+            draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
+    else:
+        figures, scene = once(args)
+        if not args.no_plot and "factor" in figures:
+            draw(args, scene, figures)
+    finish(args, figures)

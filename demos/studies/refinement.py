@@ -5,13 +5,17 @@
 # wanted. What does that gain over a uniform grid, and over one with graded lines?
 #
 # - `column`: a column under its weight (`column_compaction.py`). The stress is smooth, and leaves
-#   gain little. Where soil flows into smaller leaves its points split, and each half keeps the
-#   stress of the whole. Leaves that go down with their soil avoid this.
+#   gain little; graded lines are half as far apart at the base as at the top. Where soil flows into
+#   smaller leaves its points split, and each half keeps the stress of the whole. Leaves that go
+#   down with their soil avoid this.
 # - `footing`: a rigid smooth strip footing, Prandtl's $(2 + \pi)\,c$ (`footing.py`). The error
 #   comes from the edge.
 # - `corner`: an L-shaped body with the exact displacement of the re-entrant corner on its outer
 #   sides, $u \sim r^{0.5445}$. A uniform grid has this order in the energy norm; leaves of size
 #   $\sqrt r/n$ regain the first order.
+# - `cone`: a smooth cone goes 2 R down in Tresca clay (`cone_penetration.py`). All grids have the
+#   same ground, penalty and F-bar, by the mean volumes. There is no exact force: the error is that
+#   of the mean over the last R, against leaves half as large as the smallest ones here.
 #
 # Two more parts ask whether leaves of several sizes keep what the method promises: `conditioning`
 # puts a block anywhere, so that its upper side cuts coarse and fine leaves, and takes the
@@ -25,6 +29,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cone_penetration
 import footing
 import numpy as np
 from mpi4py import MPI
@@ -35,7 +40,7 @@ from scene import finish, say
 import dolfinmpm as mpm
 from dolfinmpm import study
 
-CURVES, CHECKS = ("column", "footing", "corner"), ("conditioning", "patch")
+CURVES, CHECKS = ("column", "footing", "corner", "cone"), ("conditioning", "patch")
 
 
 @dataclass
@@ -50,6 +55,9 @@ class Input(Options):
         [0.125, 0.0625, 0.03125, 0.015625], "sizes of leaves at the footing's edge (m)", above=0
     )
     corner: list[int] = option([4, 8, 16, 32], "cells along a leg", least=2)
+    cone: list[float] = option([0.5, 0.25], "sizes of uniform cells (m), R = 1 m", above=0)
+    cone_lines: list[float] = option([0.5, 0.25, 0.125], "between graded lines (m)", above=0)
+    cone_leaves: list[float] = option([0.5, 0.25, 0.125], "of leaves at the tip (m)", above=0)
     places: int = option(200, "of a cut block", least=1)
     trees: int = option(20, "random ones", least=1)
     dimension: int = option(2, "of conditioning and patches", choices=(2, 3))
@@ -74,6 +82,33 @@ def footings(args):
         yield "leaves", h, f"--h 0.5 --coarsest 0.5 --refine {h} --growth 0.2"
 
 
+CONE = "--fbar volumes --ghost 0.03 --penalty 1 --depth 8 --width 20 --no-plot"
+
+
+def cones(args):
+    """Command lines of `cone_penetration.py`, as of `footings`; the finest leaves first."""
+    yield "reference", 0.5 * min(args.cone_leaves), "--refine"
+    for kind, sizes, words in (
+        ("uniform", args.cone, "--growth 1"),
+        ("graded lines", args.cone_lines, ""),
+        ("leaves", args.cone_leaves, "--refine"),
+    ):
+        for h in sizes:
+            yield kind, h, words
+
+
+def mean_force(h, words):
+    """Mean factor of a cone over the last R of its way, and the figures of the run."""
+    options = cone_penetration.Input.parse(f"{CONE} --h {h} {words}".split())
+    figures, _ = cone_penetration.once(options)
+    names = "unknowns", "points", "newton_iterations"
+    found = {name: figures[name] for name in names}
+    found["seconds"] = figures["seconds_setup"] + figures["seconds_solve"]
+    if figures["reached"] < options.depth - 1e-9:
+        raise RuntimeError(f"the cone ends {figures['reached']:g} m deep: {figures['reason']}")
+    return figures["factor"], found
+
+
 def runs_of(part, args):
     """Runs of a part: kind of grid, size of its cells, figures."""
     if part == "column":
@@ -81,6 +116,8 @@ def runs_of(part, args):
         column(50 / 8, steps=1)
         for n in args.column:
             yield "uniform", 50 / n, column(50 / n)
+        for n in args.column:
+            yield "graded lines", 100 / (3 * n), column(50 / n, graded=True)
         for n in args.column:
             yield "leaves", 25 / n, column(25 / n, 1)
     elif part == "corner":
@@ -91,7 +128,15 @@ def runs_of(part, args):
             ("leaves", "refined"),
         ):
             for n in args.corner:
-                yield name, 1 / n, corner(n, kind)
+                smallest = 1 / n if kind == "uniform" else 1 / n**2
+                yield name, smallest, corner(n, kind)
+    elif part == "cone":
+        exact = None
+        for kind, h, words in cones(args):
+            factor, found = mean_force(h, words)
+            exact = factor if exact is None else exact
+            if kind != "reference":
+                yield kind, h, {"error": abs(factor / exact - 1), "factor": factor, **found}
     else:
         for kind, h, words in footings(args):
             options = footing.Input.parse((FOOTING + " " + words).split())
@@ -107,12 +152,37 @@ def order(rows):
     return math.log(first["error"] / last["error"]) / math.log(finer)
 
 
-def unknowns_for(rows, error):
-    """Unknowns that a curve needs for an error; between its runs, or straight on beyond them."""
-    n, e = (np.log([row[name] for row in rows]) for name in ("unknowns", "error"))
-    k = max(1, min(len(rows) - 1, int(np.searchsorted(-e, -math.log(error)))))
+def needed(rows, error, name):
+    """Unknowns or seconds that a curve needs for an error; between its runs, or straight on.
+
+    None of a curve whose error does not fall there.
+    """
+    n, e = (np.log([row[key] for row in rows]) for key in (name, "error"))
+    k = next((k for k in range(1, len(e)) if e[k] <= math.log(error)), len(e) - 1)
+    if not e[k] < e[k - 1]:
+        return None
     slope = (n[k] - n[k - 1]) / (e[k] - e[k - 1])
     return float(np.exp(n[k] + slope * (math.log(error) - e[k])))
+
+
+def against(others, leaves):
+    """Unknowns and time of another kind of grid over those of the finest leaves.
+
+    Returns:
+        Those for the same error, by extrapolation if `beyond`, and those with the same smallest
+        cells, where both kinds have such a run.
+    """
+    best, found = leaves[-1], {}
+    for name in ("unknowns", "seconds"):
+        value = needed(others, best["error"], name)
+        found[name] = None if value is None else value / best[name]
+    found["beyond"] = min(row["error"] for row in others) > best["error"]
+    alike = [(a, b) for a in leaves for b in others if abs(a["h"] / b["h"] - 1) < 1e-9]
+    if alike:
+        a, b = min(alike, key=lambda pair: pair[0]["h"])
+        found["same_cells"] = {name: b[name] / a[name] for name in ("h", "unknowns", "seconds")}
+        found["same_cells"]["h"] = a["h"]
+    return found
 
 
 # %%
@@ -131,14 +201,29 @@ for part in (p for p in CURVES if p in args.parts):
         for kind in dict.fromkeys(r["grid"] for r in rows)
     }
     figures[part] = {"runs": rows, "orders": {k: order(found) for k, found in kinds.items()}}
-    best = kinds["leaves"][-1]
-    if len(kinds.get("uniform", ())) > 1:
-        needed = unknowns_for(kinds["uniform"], best["error"])
-        figures[part] |= {"share": best["unknowns"] / needed, "least_error": best["error"]}
+    best, gain = kinds["leaves"][-1], {}
+    for kind in ("uniform", "graded lines"):
+        if len(kinds.get(kind, ())) < 2:
+            continue
+        gain[kind] = found = against(kinds[kind], kinds["leaves"])
+        counts = [found["unknowns"], found["seconds"]]
+        text = [f"{value:.3g}" if value is not None else "?" for value in counts]
+        same = found.get("same_cells", {})
         say(
-            f"{part:8s} a uniform grid needs {needed:.0f} unknowns for an error of "
-            f"{best['error']:.2e}, leaves {best['unknowns']}"
+            f"{part:8s} {kind}, for the error of leaves, {best['error']:.2e}: {text[0]} times the "
+            f"unknowns, {text[1]} times the time"
+            + (", extrapolated" if found["beyond"] else "")
+            + (
+                "; with the same smallest cells, {h:g} m: {unknowns:.3g} and {seconds:.3g} "
+                "times".format(**same)
+                if same
+                else ""
+            )
         )
+    figures[part] |= {"gain": gain, "least_error": best["error"]}
+    share = gain.get("uniform", {}).get("unknowns")
+    if share:
+        figures[part]["share"] = 1 / share
 if "conditioning" in args.parts:
     # each rank takes its share of the places
     comm = MPI.COMM_WORLD
@@ -170,6 +255,7 @@ LABELS = {
     "column": "column: error of the stress",
     "footing": "footing: error of the load",
     "corner": "corner: error of the energy norm",
+    "cone": "cone: error of the force",
 }
 LOOKS = {
     "uniform": {"color": "C0", "marker": "o"},

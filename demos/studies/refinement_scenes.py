@@ -50,7 +50,7 @@ def settled(depth: float, load: float) -> float:
     return float(np.trapezoid(stretch, Y))
 
 
-def column(h: float, levels: int = 0, steps: int = 40) -> Figures:
+def column(h: float, levels: int = 0, steps: int = 40, graded: bool = False) -> Figures:
     """A column under its weight: error of its stress, as `column_compaction.py` takes it.
 
     The base is compressed to a third, so that the stress changes fastest per metre there. Leaves
@@ -60,9 +60,12 @@ def column(h: float, levels: int = 0, steps: int = 40) -> Figures:
         h: Size of the cells, or of the leaves of the lowest eighth (m).
         levels: How often cells are halved at the base.
         steps: Steps of the load.
+        graded: As many lines, from 2/3 as far apart at the base to 4/3 at the top.
     """
     started, root, wide, load = time.perf_counter(), h * 2**levels, HEIGHT / 4, 0.0
     lines = [np.linspace(0, end, round(end / root) + 1) for end in (wide, HEIGHT)]
+    if graded:
+        lines[1] = lines[1] * (2 + lines[1] / HEIGHT) / 3
     grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
 
     def size(x: np.ndarray) -> np.ndarray:

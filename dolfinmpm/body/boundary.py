@@ -211,26 +211,30 @@ class Boundary:
             )
         ends = segments_of(vertices, truth("closed", closed))
         x, area = segment_markers(points.grid, ends, spacing, whole("rule", rule, 1))
-        made = cls(
-            points, *revolved(points, x, area), follows=follows, name=name, activates=activates
-        )
+        x, area = revolved(points, x, area)
+        made = cls(points, x, area, follows=follows, name=name, activates=activates)
         made.tiles = rule == 1
         return made
 
     @classmethod
     @collective
     def from_side(
-        cls, points: MaterialPoints, side: str, *, rule: int = 2, name: str | None = None
+        cls,
+        points: MaterialPoints,
+        side: str,
+        *,
+        rule: int = 2,
+        name: str | None = None,
+        spacing: float | None = None,
     ) -> Boundary:
-        """Side of a rectangular grid as a wall that does not move. Collective.
-
-        The wall activates no cells.
+        """Side of a rectangular grid as a wall that stays and activates no cells. Collective.
 
         Args:
             points: Material points of the body.
             side: A side by its axis or name, "x-" or "left"; see `prescribed`.
-            rule: Gauss points per side of a cell and direction.
+            rule: Gauss points per piece and direction. The cells cut the side into pieces.
             name: Name of the boundary; the name of the side by default.
+            spacing: Greatest length of a piece (m). Give that of the leaves for refined spaces.
 
         Raises:
             ParameterError: There is no such side.
@@ -239,9 +243,8 @@ class Boundary:
         check_points(points)
         word, axis, end = side_of(side, points.gdim)
         lattice = require_lattice(points.grid, "a boundary at a side of the grid")
-        x, area = side_markers(lattice, axis, end, whole("rule", rule, 1))
-        x, area = revolved(points, x, area)
-        return cls(points, x, area, follows=False, name=name or word, activates=False)
+        made = revolved(points, *side_markers(lattice, axis, end, whole("rule", rule, 1), spacing))
+        return cls(points, *made, follows=False, name=name or word, activates=False)
 
     @classmethod
     @collective

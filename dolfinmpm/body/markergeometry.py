@@ -141,18 +141,23 @@ def corners_of(what: str, values: Any, d: int) -> Array:
     return given
 
 
-def side_markers(lattice: Lattice, axis: int, end: int, rule: int) -> tuple[Array, Array]:
+def side_markers(
+    lattice: Lattice, axis: int, end: int, rule: int, spacing: float | None = None
+) -> tuple[Array, Array]:
     """Positions (m) and area vectors (m^(d-1)) of Gauss points on a side of a rectangular grid.
 
     Args:
         lattice: Lattice of the grid.
         axis: Direction normal to the side.
         end: 0 for the lower end of the axis, 1 for the upper end.
-        rule: Gauss points per side of a cell and direction.
+        rule: Gauss points per piece and direction.
+        spacing: Greatest length of a piece (m); None for the sides of the cells.
     """
     at, weights = np.polynomial.legendre.leggauss(rule)
+    longest = np.inf if spacing is None else number("spacing", spacing, 0.0, unit="m")
     places, lengths = [], []
     for d, line in enumerate(lattice.lines):
+        line = _no_longer(line, longest)
         middle, half = 0.5 * (line[1:] + line[:-1]), 0.5 * np.diff(line)
         across = d == axis
         places.append(line[[-end]] if across else (middle[:, None] + half[:, None] * at).ravel())
@@ -162,6 +167,15 @@ def side_markers(lattice: Lattice, axis: int, end: int, rule: int) -> tuple[Arra
     area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
     normal = np.eye(gdim)[axis] * (1.0 if end else -1.0)
     return x.reshape(-1, gdim), area * normal
+
+
+def _no_longer(line: Array, longest: float) -> Array:
+    """Lines of cells, with each cell cut into equal pieces no longer than some length (m)."""
+    parts = np.maximum(np.ceil(np.diff(line) / longest - 1e-9), 1).astype(int)
+    if (parts == 1).all():
+        return line
+    begin = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(line, line[1:], parts)]
+    return np.append(np.concatenate(begin), line[-1])
 
 
 def level_set_markers(

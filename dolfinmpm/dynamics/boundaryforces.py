@@ -26,6 +26,7 @@ below 1.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numba
 import numpy as np
@@ -33,7 +34,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import FormError
-from dolfinmpm.basis import Stencils
+from dolfinmpm.basis import LeafBasis, Stencils
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField
@@ -107,7 +108,7 @@ def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
         exact = any(condition.exact for condition in of.conditions)
         if field.C is None and not exact:
             kept = np.ones(len(markers))
-            full = _full_masses(markers)
+            full = _full_masses(markers, field.basis)
             parts = [
                 replace(part, stencils=[_weighed(s, m, full, kept) for s in part.stencils])
                 for part in parts
@@ -139,9 +140,14 @@ def _node_masses(field: ActiveField, points: MaterialPoints) -> Array:
     return sums.arrays[0][:, 0]
 
 
-def _full_masses(markers: MaterialPoints) -> Array:
+def _full_masses(markers: MaterialPoints, basis: Any) -> Array:
     """Mass of a full cell (kg) at each marker of a boundary, shape (markers,)."""
-    volume = smallest_height(markers.grid) ** markers.gdim
+    volume: Any = smallest_height(markers.grid) ** markers.gdim
+    if isinstance(basis, LeafBasis):
+        # a marker beside the leaves is at one of the size of the others
+        cells, sizes = basis.cells_at(markers["x"]), basis.cell_sizes()
+        edge = np.where(cells >= 0, sizes[cells], sizes.min(initial=np.inf))
+        volume = edge**markers.gdim
     full = markers["density"] * volume
     return ring(markers["x"][:, 0], full) if markers.axisymmetric else full
 

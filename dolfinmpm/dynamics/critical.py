@@ -23,7 +23,7 @@ from dolfinmpm.solve import spectra
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["critical_step", "exact_step", "factor", "wave_speed"]
+__all__ = ["cell_sizes_at", "critical_step", "exact_step", "factor", "wave_speed"]
 
 Array = npt.NDArray[np.float64]
 
@@ -72,6 +72,15 @@ def wave_speed(points: MaterialPoints, declarations: Sequence[Any]) -> Array:
     for declaration in declarations:
         stiffness[declaration.rows] = declaration.elastic.stiffness()
     return np.sqrt(stiffness / points.fields.read("density"))
+
+
+def cell_sizes_at(points: MaterialPoints, space: Any) -> Array | None:
+    """Size of the smallest leaf at each point (m), shape (n,); None without leaves. Collective."""
+    if space.refinement is None:
+        return None
+    where = points.placement(space.configuration)
+    leaves = space.refinement.leaves_for(where, space.basis.averaged)
+    return np.asarray(leaves.smallest(where.x, where.half))
 
 
 def critical_step(

@@ -30,7 +30,7 @@ from dolfinmpm.dynamics.boundaryforces import Stiffness, check_boundaries, weigh
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.collisionsteps import CollisionSteps, collision_error
-from dolfinmpm.dynamics.critical import critical_step, exact_step
+from dolfinmpm.dynamics.critical import cell_sizes_at, critical_step, exact_step
 from dolfinmpm.dynamics.energybounds import EnergyBalance
 from dolfinmpm.dynamics.explicitcall import ExplicitCall
 from dolfinmpm.dynamics.faces import (
@@ -47,6 +47,7 @@ from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings, checked_courant
+from dolfinmpm.dynamics.smallmass import check_leaves
 from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
@@ -178,6 +179,7 @@ class Explicit(MovingBody, Problem):
             self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)"
         )
         check_boundaries(self.form, mass)
+        check_leaves(u[0]._dolfinmpm_space, settings.filters, collision)
         if points.dt in extract_constants(form):
             raise FormError(
                 "the form has rates over points.dt, and increments are 0 where explicit steps find "
@@ -284,11 +286,8 @@ class Explicit(MovingBody, Problem):
         tied = (
             field.stabilisation.kind in ("aggregation", "extended") or field.prolongate is not None
         )
-        sizes, refinement = None, field.space.refinement
-        if refinement is not None:
-            where = self.points.placement(field.space.configuration)
-            leaves = refinement.leaves_for(where, field.space.basis.averaged)
-            sizes, tied = leaves.smallest(where.x, where.half), True
+        sizes = cell_sizes_at(self.points, field.space)
+        tied = tied or sizes is not None
         found = critical_step(
             self.points, field.space.basis, declarations, self.terms.kind, tied, sizes
         )

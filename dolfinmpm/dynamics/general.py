@@ -27,7 +27,7 @@ from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
-from dolfinmpm.dynamics.critical import wave_speed
+from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import Faces, set_velocities
@@ -260,7 +260,8 @@ class GeneralSteps(ExplicitBase):
         if b != (0.0, 0.0):
             speeds = wave_speed(points, self._problem.form.parts.declarations)
             viscous = mass.nodal()
-            pressure = viscous_pressure(points, s, V, b, speeds)
+            sizes = cell_sizes_at(points, self._problem.fields[0].space)
+            pressure = viscous_pressure(points, s, V, b, speeds, sizes)
             scatter_tensor(points, s, pressure, viscous.arrays[0])
             viscous.add_up()
             forces.arrays[0][:] -= viscous.arrays[0]

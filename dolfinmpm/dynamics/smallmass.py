@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,7 +18,14 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import smallest_height
 
-__all__ = ["MassCutOff", "Redistribution", "checked_viscosity", "filters", "viscous_pressure"]
+__all__ = [
+    "MassCutOff",
+    "Redistribution",
+    "check_leaves",
+    "checked_viscosity",
+    "filters",
+    "viscous_pressure",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -123,6 +131,34 @@ def filters(mass_cutoff: Any, redistribution: Any) -> list[Filter]:
     return found
 
 
+def check_leaves(space: Any, given: Sequence[Filter], collision: Any) -> None:
+    """Raise if a refined space comes with what compares masses of nodes with each other.
+
+    The nodes of small leaves are light, wherever they are.
+
+    Args:
+        space: The space of the displacement.
+        given: The filters of light nodes.
+        collision: The `Collision`, or None.
+
+    Raises:
+        ParameterError: The space is refined, and there is a filter or a collision.
+    """
+    if space.refinement is None:
+        return
+    if given:
+        raise ParameterError(
+            "mass_cutoff and redistribution are shares of the largest nodal mass, and nodes of "
+            "small leaves have less than those of large ones: leave them out, or leave out "
+            "refine= of the space"
+        )
+    if collision is not None:
+        raise ParameterError(
+            "Collision needs cells of one size, and the space is refined: leave out refine=, or "
+            "give each body a field of its own and take mpm.contact_between in implicit steps"
+        )
+
+
 def checked_viscosity(given: Any) -> tuple[float, float]:
     """The two coefficients of bulk viscosity.
 
@@ -138,7 +174,12 @@ def checked_viscosity(given: Any) -> tuple[float, float]:
 
 
 def viscous_pressure(
-    points: MaterialPoints, s: Stencils, V: Array, b: tuple[float, float], c: Array
+    points: MaterialPoints,
+    s: Stencils,
+    V: Array,
+    b: tuple[float, float],
+    c: Array,
+    sizes: Array | None = None,
 ) -> Array:
     """−ρ h (b₁ c |ε̇| + b₂² h ε̇²) I times the points' volumes, in compression.
 
@@ -150,6 +191,7 @@ def viscous_pressure(
         V: Velocities of the nodes (m/s), shape (nodes, d).
         b: b₁ and b₂.
         c: Wave speeds (m/s), shape (points,).
+        sizes: h at each point (m), shape (points,); None for the smallest height of the grid.
 
     Returns:
         Shape (points, strain_dim, strain_dim) (N m).
@@ -159,6 +201,6 @@ def viscous_pressure(
     gather(s, V, velocity, gradient)
     whole = full_gradient(points, velocity, gradient)
     rate = np.minimum(np.trace(whole, axis1=1, axis2=2), 0.0)
-    h = smallest_height(points.grid)
+    h = smallest_height(points.grid) if sizes is None else sizes
     q = points["density"] * points["V0"] * h * (b[0] * c * -rate + b[1] ** 2 * h * rate**2)
     return -q[:, None, None] * np.eye(points.strain_dim)
