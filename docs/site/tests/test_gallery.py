@@ -11,7 +11,10 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 
 PAGE = BeautifulSoup((HTML / "demos" / "index.html").read_text(), "html.parser")
-CARDS = {card.select_one("a")["href"].split(".")[0]: card for card in PAGE.select(".gallery-card")}
+CARDS = {
+    card.select_one("a")["href"].removesuffix(".html"): card
+    for card in PAGE.select(".gallery-card")
+}
 WITHOUT_PICTURE = {"../studies/derivatives"}  # it prints a table
 
 
