@@ -173,7 +173,7 @@ def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
             # NumPy would drop the imaginary part
             raise TypeError
         if isinstance(given, np.ma.MaskedArray):
-            return np.array(np.ma.filled(given.astype(np.float64), np.nan))
+            return np.array(np.ma.filled(given.astype(np.float64), np.nan), np.float64)
         return np.array(given, np.float64)
     except (TypeError, ValueError):
         raise ParameterError(

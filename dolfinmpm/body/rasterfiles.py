@@ -57,7 +57,7 @@ def _ascii(file: Path) -> Raster:
     words = file.read_text(encoding="utf-8", errors="replace").split()
     header: dict[str, str] = {}
     at = 0
-    twice = []
+    twice: list[str] = []
     # "nan" and "inf" are heights
     while at + 1 < len(words) and words[at][0].isalpha() and words[at].lower() not in _HEIGHTS:
         twice += [words[at]] * (words[at].lower() in header)

@@ -31,7 +31,7 @@ def test_hypoplastic_sand_follows_the_published_curves_within_their_rounding(tmp
 
 
 def test_norsand_has_the_peaks_and_ends_of_the_theory(tmp_path):
-    found = figures(tmp_path, "norsand_paths", "--pressures", "250e3", "--states", "-0.1,0.03")
+    found = figures(tmp_path, "norsand_paths", "--pressures", "250e3", "--states=-0.1,0.03")
     worst = found["worst"]
     assert worst["peak"] < 3e-3
     assert worst["end"] < 1e-3
@@ -43,7 +43,7 @@ def test_norsand_has_the_peaks_and_ends_of_the_theory(tmp_path):
 
 @NEEDS_FORTRAN
 def test_damping_is_that_of_masings_rule(tmp_path):
-    found = figures(tmp_path, "damping", "--steps", "40")
+    found = figures(tmp_path, "damping")
     assert found["error_stiffness"] < 1e-10
     assert found["error_damping"] < 1e-4
     assert found["off_published"]["stiffness"] < 0.03
