@@ -14,8 +14,8 @@
 #   sides, $u \sim r^{0.5445}$. A uniform grid has this order in the energy norm; leaves of size
 #   $\sqrt r/n$ regain the first order.
 # - `cone`: a smooth cone goes 2 R down in Tresca clay (`cone_penetration.py`). All grids have the
-#   same ground, penalty and F-bar, by the mean volumes. There is no exact force: the error is that
-#   of the mean over the last R, against leaves half as large as the smallest ones here.
+#   same ground, rounding of R/4, penalty, and F-bar by the mean volumes. There is no exact force:
+#   the error is that of the mean over the last R, against leaves half as large as the smallest.
 #
 # Two more parts ask whether leaves of several sizes keep what the method promises: `conditioning`
 # puts a block anywhere, so that its upper side cuts coarse and fine leaves, and takes the
@@ -99,7 +99,9 @@ def cones(args):
 
 def mean_force(h, words):
     """Mean factor of a cone over the last R of its way, and the figures of the run."""
-    options = cone_penetration.Input.parse(f"{CONE} --h {h} {words}".split())
+    # the same rounded cone in all cells
+    rounded = f"--fillet {0.25 / h}"
+    options = cone_penetration.Input.parse(f"{CONE} --h {h} {rounded} {words}".split())
     figures, _ = cone_penetration.once(options)
     names = "unknowns", "points", "newton_iterations"
     found = {name: figures[name] for name in names}
