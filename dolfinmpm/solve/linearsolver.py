@@ -31,8 +31,6 @@ Array = npt.NDArray[np.float64]
 _FACTORISATION = (76, 71, 81)
 # Bound of yᵀKx − xᵀKy by rounding, relative to the size of the products
 _SYMMETRIC = 1e-9
-# Solutions per matrix from which complete factors are cheaper than incomplete ones
-_MANY = 3
 # Size of the increments in the test of symmetry, in cells
 _NEAR = 1e-4
 
@@ -47,38 +45,42 @@ class LinearSolver:
         options: PETSc options.
 
     Attributes:
+        comm: The argument.
         snes: The solver.
         matrix: The matrix, or None before the first one and after a failure.
         true: The tangent without soft stiffness, as a PETSc matrix.
         choice: Choice of the method.
         method: The method, or None before the first matrix.
         stuck: Whether the last `solve` failed.
+        version: Number of the last tangent or preparation.
+        has_tangent: Whether a tangent was assembled since the last `attach`.
         reuse: Decision to keep a preconditioner, or None if the method never keeps one.
     """
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
-        self._comm, self._gdim, self._options = comm, gdim, options
+        self.comm, self._gdim, self._options = comm, gdim, options
         self.choice, self._checked = MethodChoice(comm, gdim, tangent, options), False
         self._mumps = Mumps(gdim, options)
         self.matrix: Matrix | None = None
         self.true: Any = None
         self.method: Method | None = None
         self.reuse: PreconditionerReuse | None = None
-        self.stuck = False
+        self.stuck = self.has_tangent = False
+        self.version = 0
         # norm of the residual one Newton iteration before
         self._former: float | None = None
         self.snes: Any = None
 
-    def twin(self, solutions: int) -> LinearSolver:
+    def twin(self, complete: bool) -> LinearSolver:
         """A solver with the same choices so far, and with a matrix and factors of its own.
 
         Args:
-            solutions: Number of solutions per matrix. Factors are cheaper than several solutions
+            complete: Whether factors must be complete, which are cheaper than several solutions
                 with incomplete factors.
         """
-        other = LinearSolver(self._comm, self._gdim, self.choice.tangent, self._options)
+        other = LinearSolver(self.comm, self._gdim, self.choice.tangent, self._options)
         other._checked = self._checked
-        other.choice.no_incomplete = solutions >= _MANY
+        other.choice.no_incomplete = complete
         return other
 
     def in_blocks(self, count: int) -> bool:
@@ -120,7 +122,8 @@ class LinearSolver:
     def attach(self, operator: Operator) -> None:
         """Prepare the matrix for an operator; a matrix of the same pattern stays. Collective."""
         here = operator.here
-        self._former = None
+        self._former, self.has_tangent = None, False
+        self.version += 1
         self.choice.doubt.left = max(self.choice.doubt.left - 1, 0)
         self._choose(here.unknowns.total)
         self._take_matrix(here)
@@ -146,17 +149,17 @@ class LinearSolver:
         if former is not None and method.like(former) and self.snes is not None:
             return
         self.matrix = self.true = None
-        self.snes = krylov.create(self._comm, method, options, choice.tangent.softened)
+        self.snes = krylov.create(self.comm, method, options, choice.tangent.softened)
         self.reuse = None
         if krylov.keeps(method, options):
-            self.reuse = PreconditionerReuse(self._comm)
+            self.reuse = PreconditionerReuse(self.comm)
             self.reuse.watch(self._ksp)
 
     def _take_matrix(self, here: Activation) -> None:
         """Take the matrix for an activation: the present one, or a new one. Collective."""
         kept = self.matrix is not None and self.matrix.pattern is here.pattern
         # a matrix of the same pattern keeps its symbolic factorisation; its creation is collective
-        if self._comm.allreduce(kept, op=MPI.LAND):
+        if self.comm.allreduce(kept, op=MPI.LAND):
             return
         # old matrix and factors are freed first, because they need the most memory
         self.snes.reset()
@@ -226,7 +229,8 @@ class LinearSolver:
             norm: Norm of the residual (N).
             enough: Norm of the residual at which the solution may end (N).
         """
-        method = self.method
+        method, self.has_tangent = self.method, True
+        self.version += 1
         if self.reuse is None or method is None:
             return
         ksp = self._ksp
@@ -283,25 +287,57 @@ class LinearSolver:
         self.stuck = ksp.getConvergedReason() < 0
         return np.array(y.getArray(readonly=True))
 
-    def again(self, right: Array, guess: Array | None = None) -> Array:
-        """Solve once more with the last tangent of `solve`; factors are used directly. Collective.
+    @property
+    def direct(self) -> bool:
+        """Whether complete factors solve, so that a first guess is of no use."""
+        return self.method is not None and self.method.factors and not self.method.incomplete
+
+    def product(self, x: Array) -> Array:
+        """Product of the last tangent with a vector, shape (owned,). Collective."""
+        a, b = self.vector(), self.vector()
+        a.getArray()[:] = x
+        self.true.mult(a, b)
+        return np.array(b.getArray(readonly=True))
+
+    def again(
+        self, right: Array, guess: Array | None = None, digits: float = krylov.DIGITS
+    ) -> Array:
+        """Solve once more with the last tangent and preconditioner, which stay. Collective.
 
         Args:
             right, guess: See `solve`.
+            digits: Residual that may remain, relative to the right-hand side.
         """
-        method = self.method
-        if method is None or not method.factors or method.incomplete:
-            return self.solve(right, guess)
         A, b, y = self.true, self.vector(), self.vector()
         b.getArray()[:] = right
-        self._ksp.getPC().apply(b, y)
-        # Krylov's method repairs what factors of another matrix, or with too small pivots, leave
-        rest = A.createVecLeft()
-        A.mult(y, rest)
-        rest.axpy(-1.0, b)
-        if rest.norm() <= krylov.DIGITS * b.norm():
-            return np.array(y.getArray(readonly=True))
-        return self.solve(right, y.getArray(readonly=True))
+        if self.direct:
+            self._ksp.getPC().apply(b, y)
+            # Krylov's method repairs what factors of another matrix, or with too small pivots,
+            # leave
+            rest = A.createVecLeft()
+            A.mult(y, rest)
+            rest.axpy(-1.0, b)
+            if rest.norm() <= digits * b.norm():
+                return np.array(y.getArray(readonly=True))
+        elif guess is not None:
+            y.getArray()[:] = guess
+        if self._ksp.getType() == "preonly":
+            return self.solve(right, y.getArray(readonly=True))
+        self._iterate(b, y, digits)
+        return np.array(y.getArray(readonly=True))
+
+    def _iterate(self, b: PETSc.Vec, y: PETSc.Vec, digits: float) -> None:
+        """Iterate from y, with the last preconditioner; settings and counts stay. Collective."""
+        ksp, kept = self._ksp, self._ksp.getTolerances()
+        ksp.setTolerances(rtol=digits, atol=1e-300, max_it=500)
+        ksp.setInitialGuessNonzero(True)
+        if self.reuse is not None:
+            self.reuse.rests = True
+        ksp.solve(b, y)
+        if self.reuse is not None:
+            self.reuse.rests = False
+        ksp.setInitialGuessNonzero(False)
+        ksp.setTolerances(*kept)
 
     def forget(self) -> None:
         """Discard the solver after a failure, because PETSc cannot continue with it."""
@@ -309,7 +345,7 @@ class LinearSolver:
 
     def warn_of_unread_options(self) -> None:
         """Warn of options that PETSc has not read, see `Options`."""
-        self._options.warn_of_unread(self._comm)
+        self._options.warn_of_unread(self.comm)
 
     def why(self, error: PETSc.Error) -> str:
         """Reason of a failed factorisation; other errors are raised again."""

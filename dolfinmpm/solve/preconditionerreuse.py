@@ -73,6 +73,7 @@ class PreconditionerReuse:
         iterations: Iterations of each solution.
         old: Whether the preconditioner belongs to a former tangent.
         counts: Number of solutions, and of set-ups.
+        rests: Whether solutions do not count at present.
     """
 
     def __init__(self, comm: MPI.Intracomm):
@@ -82,7 +83,7 @@ class PreconditionerReuse:
         # preconditioner
         self._fresh = self._last = math.nan
         self._spent = 0.0
-        self.old, self.counts = False, (0, 0)
+        self.old, self.counts, self.rests = False, (0, 0), False
         # solutions with the present preconditioner; set-ups before one is kept again, now and the
         # next time
         self._age, self._wait, self._next = 0, 0, 1
@@ -131,7 +132,7 @@ class PreconditionerReuse:
 
         def ends(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
             reuse = weak()
-            if reuse is not None:
+            if reuse is not None and not reuse.rests:
                 reuse.note(ksp)
 
         ksp.setConvergenceHistory(1000, reset=True)

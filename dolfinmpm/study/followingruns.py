@@ -119,7 +119,7 @@ class FollowingRuns:
 
     def _add(self, sign: int) -> None:
         """Let another run follow the tape."""
-        member, reader = self._make(sign), Reader(self._tape, *self.readers)
+        member, reader = self._make(sign), Reader(self._tape)
         for problem in member.problems:
             if isinstance(problem, QuasiStatic):
                 follow(problem, reader)

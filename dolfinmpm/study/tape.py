@@ -1,9 +1,10 @@
-"""Solutions of a run, and runs with other parameters that follow them by one linear solution each.
+"""Solutions of a run, and runs with other parameters that follow them by few linear solutions each.
 
 A run at parameters m solves R(u; s, m) = 0 in each substep, and keeps u and the tangent K at u. A
 run at m + ε Δm with the state s' follows: u' = u − K⁻¹ [R(u; s', m + ε Δm) − R(u; s, m)]. This is
 Newton's first iteration from u, so that u' is exact up to a term in ε² that does not change with
-the sign of ε. The difference of two runs that follow, at m ± ε Δm, is thus the derivative.
+the sign of ε. With the tangent of another iteration in place of K, a second solution corrects u'.
+The difference of two runs that follow, at m ± ε Δm, is thus the derivative.
 """
 
 from __future__ import annotations
@@ -14,16 +15,14 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from dolfinmpm._platform.errors import ConvergenceError
 from dolfinmpm.contact.contactpoints import ActiveContact
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.solve.bordered import Border, Bordered
-from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.newton import Newton, Outcome
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.study.tapedtangent import ACCURATE, SpareSolver, TapedTangent
 
 __all__ = ["Reader", "Tape", "TapedStep", "follow", "record"]
 
@@ -39,7 +38,7 @@ class TapedStep:
         outcome: The result of the solver.
         unknowns: Numbering of the unknowns.
         force: Out-of-balance force that remained (N), shape (owned,).
-        linear: Linear solver with the tangent.
+        tangent: The tangent.
         states: States of the contact points, for each contact.
         border: The additional equations, if there are any.
     """
@@ -47,7 +46,7 @@ class TapedStep:
     outcome: Outcome
     unknowns: Unknowns
     force: Array = field(default_factory=lambda: np.empty(0))
-    linear: LinearSolver | None = None
+    tangent: TapedTangent | None = None
     states: list[npt.NDArray[np.int8]] = field(default_factory=list)
     border: _BorderAt | None = None
 
@@ -71,10 +70,12 @@ class _BorderAt:
     system: Array
 
     @classmethod
-    def of(cls, border: Border, x: Array, linear: LinearSolver, comm: MPI.Intracomm) -> _BorderAt:
-        """The equations at the unknowns x, with the tangent of a linear solver. Collective."""
+    def of(cls, border: Border, x: Array, tangent: TapedTangent, comm: MPI.Intracomm) -> _BorderAt:
+        """The equations at the unknowns x, with the tangent there. Collective."""
         gap, by_x, by_y = border.gap(x)
-        columns = np.column_stack([linear.again(-column) for column in border.slopes(x).T])
+        columns = np.column_stack(
+            [tangent.solve(-column, ACCURATE) for column in border.slopes(x).T]
+        )
         system = comm.allreduce(by_x.T @ columns, op=MPI.SUM) + by_y
         return cls(border.value.copy(), gap, by_x, columns, system)
 
@@ -101,10 +102,10 @@ class Tape:
     def __init__(self) -> None:
         self.stages: list[TapedStep] = []
         self.readers = 0
-        self._solvers: list[LinearSolver] = []
+        self._spare: list[SpareSolver] = []
 
     def clear(self) -> None:
-        """Forget the solutions; the linear solvers are used again."""
+        """Forget the solutions; the spare solvers are used again."""
         self.stages.clear()
 
     def add(
@@ -120,44 +121,19 @@ class Tape:
         """
         unknowns = operator.here.unknowns
         stage = TapedStep(outcome, unknowns)
-        at = sum(one.linear is not None for one in self.stages)
+        at = sum(one.tangent is not None for one in self.stages)
         self.stages.append(stage)
         if outcome.reason is not None or unknowns.total == 0:
             return
-        if at == len(self._solvers):
-            self._solvers.append(newton.linear.twin(self.readers))
+        if at == len(self._spare):
+            self._spare.append(SpareSolver())
         stage.force = unknowns.restrict(operator.forces())
-        stage.linear = self._solvers[at]
-        _factor(stage.linear, operator)
+        stage.tangent = TapedTangent(
+            operator, newton.linear, outcome.x, self.readers, self._spare[at], lend=border is None
+        )
         stage.states = _contact_states(operator)
         if border is not None:
-            stage.border = _BorderAt.of(border, outcome.x, stage.linear, unknowns.comm)
-
-
-def _factor(linear: LinearSolver, operator: Operator) -> None:
-    """Assemble and factor the tangent, by other methods after failures. Collective.
-
-    Beyond a limit point the tangent is indefinite, so that Cholesky's factors do not exist.
-
-    Raises:
-        ConvergenceError: No method can solve with the tangent.
-    """
-    while True:
-        try:
-            linear.attach(operator)
-            assert linear.matrix is not None
-            operator.tangent(linear.matrix)
-            linear.solve(np.zeros(operator.here.unknowns.owned))
-            if not linear.stuck:
-                return
-            another = linear.enlarge() or linear.relax()
-        except PETSc.Error as error:
-            linear.why(error)
-            another = linear.relax()
-        if not another:
-            raise ConvergenceError(
-                "the tangent of a converged step is singular: it has no derivatives"
-            )
+            stage.border = _BorderAt.of(border, outcome.x, stage.tangent, unknowns.comm)
 
 
 def _contact_states(operator: Operator) -> list[npt.NDArray[np.int8]]:
@@ -170,37 +146,19 @@ class Reader:
 
     Args:
         tape: The tape.
-        opposite: Reader of the run with the opposite perturbation, which reads first, or None.
 
     Attributes:
         off: Reasons why the reader does not take the same way as the tape.
     """
 
-    def __init__(self, tape: Tape, opposite: Reader | None = None):
-        self.tape, self._opposite, self._at = tape, opposite, 0
+    def __init__(self, tape: Tape):
+        self.tape, self._at = tape, 0
         tape.readers += 1
         self.off: list[str] = []
-        # number of the solution → how the unknowns change
-        self._changes: dict[int, Array] = {}
 
     def begin(self) -> None:
         """Begin at the start of the tape."""
         self._at, self.off = 0, []
-        self._changes.clear()
-
-    def change(self, stage: TapedStep, force: Array) -> Array:
-        """Change of the unknowns by a change of the out-of-balance force. Collective.
-
-        Args:
-            stage: The last solution.
-            force: The out-of-balance force (N), shape (owned,).
-        """
-        assert stage.linear is not None
-        known = None if self._opposite is None else self._opposite._changes.get(self._at)
-        guess = None if known is None else -known
-        found = stage.linear.again(stage.force - force, guess)
-        self._changes[self._at] = found
-        return found
 
     def next(self, operator: Operator) -> TapedStep | None:
         """The next solution, or None if the equations have other unknowns. Collective."""
@@ -253,7 +211,7 @@ class RecordedNewton(Newton):
 
 
 class FollowingNewton(Newton):
-    """One Newton iteration from each solution of a tape, with the tangent of the tape."""
+    """Newton's method from each solution of a tape, with the tangent of the tape."""
 
     reader: Reader
 
@@ -267,8 +225,8 @@ class FollowingNewton(Newton):
         if known.reason is not None:
             return Outcome(known.reason, np.zeros(operator.here.unknowns.owned), known.iterations)
         x = known.x.copy()
-        if stage.linear is not None:
-            x += self.reader.change(stage, operator.residual(x).values)
+        if stage.tangent is not None:
+            x = stage.tangent.follow(operator, x, stage.force)
         operator.move(x)
         operator.update_contact()
         self.reader.compare(stage, operator)
@@ -302,7 +260,7 @@ class FollowingBordered(Bordered):
         if stage is None:
             return super().solve(operator)
         known, at, border = stage.outcome, stage.border, self.border
-        if known.reason is not None or stage.linear is None or at is None:
+        if known.reason is not None or stage.tangent is None or at is None:
             return Outcome(known.reason, known.x.copy(), known.iterations, list(known.residuals))
         border.begin(operator)
         if not border.settled:
@@ -310,7 +268,7 @@ class FollowingBordered(Bordered):
             border.predict(self.newton, operator)
         border.move(at.value - border.value)
         operator.update_external()
-        b = self.reader.change(stage, operator.residual(known.x).values)
+        b = stage.tangent.solve(stage.force - operator.residual(known.x).values)
         change = at.change(border.gap(known.x)[0], b, operator.here.unknowns.comm)
         x = known.x + b + at.columns @ change
         border.move(change)

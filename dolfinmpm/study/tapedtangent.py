@@ -1,0 +1,187 @@
+"""The tangent at a solution of a run, by which other runs follow it.
+
+Newton's method ends with the tangent and the preconditioner of its last iteration. They are lent to
+the runs that follow, as long as the run itself takes no further step. They differ from those at the
+solution by the last increment of the iteration, and a second solution corrects for it. Where many
+runs follow, the tangent at the solution is assembled for them, in a matrix of its own. The first
+run that follows assembles it where Newton's method has gone on to another solution in the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfinmpm._platform.errors import ConvergenceError
+from dolfinmpm.solve.linearsolver import LinearSolver
+from dolfinmpm.solve.operator import Operator
+
+__all__ = ["ACCURATE", "SpareSolver", "TapedTangent"]
+
+Array = npt.NDArray[np.float64]
+
+# Runs from which the tangent at the solution is assembled for them: with incomplete factors,
+# because complete ones are cheaper then, and with all other preconditioners
+_MANY_INCOMPLETE, _MANY = 3, 8
+# Out-of-balance force that may remain, as a share of what the perturbation makes: in general, and
+# in columns of additional equations. And its rounding, as a share of the loads
+DIGITS, ACCURATE, ROUNDING = 1e-7, 1e-10, 1e-15
+# Share that the first solution leaves, and the largest one with which a lent tangent is good enough
+_FIRST, _SLOW = 1e-5, 1e-2
+
+
+@dataclass
+class SpareSolver:
+    """Solvers with matrices of their own, kept from one step to the next.
+
+    Attributes:
+        shared: The solver for all runs that follow, or None before its first use.
+        own: The solver of a run that takes another way, likewise.
+    """
+
+    shared: LinearSolver | None = None
+    own: LinearSolver | None = None
+
+
+class TapedTangent:
+    """The tangent at a solution. Collective.
+
+    Args:
+        operator: The equations, at the solution.
+        linear: The linear solver of Newton's method, just after the solution.
+        x: The unknowns, shape (owned,): solutions begin in the span of x and of earlier solutions.
+        readers: Number of runs that follow.
+        spare: Solvers with matrices of their own.
+        lend: Whether the tangent of Newton's last iteration may do.
+
+    Attributes:
+        exact: Whether it is the tangent at the solution.
+
+    Raises:
+        ConvergenceError: No method can solve with the tangent.
+    """
+
+    def __init__(
+        self, operator: Operator, linear: LinearSolver, x: Array, readers: int, spare: SpareSolver,
+        lend: bool = True,
+    ):  # fmt: skip
+        self._lender, self._version, self._spare = linear, linear.version, spare
+        self._complete, self._comm = readers >= _MANY_INCOMPLETE, linear.comm
+        self._known: list[Array] = [x]
+        self._products: list[Array] = []
+        method = linear.method
+        few = method is not None and readers < (_MANY_INCOMPLETE if method.incomplete else _MANY)
+        self.exact = not (lend and few and linear.has_tangent)
+        self._linear = linear
+        if self.exact:
+            self._assemble(operator)
+
+    def _assemble(self, operator: Operator) -> None:
+        """Assemble the tangent at the present increments for all runs. Collective."""
+        if self._spare.shared is None:
+            self._spare.shared = self._lender.twin(self._complete)
+        self._linear = self._spare.shared
+        factor(self._linear, operator)
+
+    def _own(self, operator: Operator, right: Array, digits: float) -> Array:
+        """Solve with the tangent of a run that takes another way; others do not use it."""
+        if self._spare.own is None:
+            self._spare.own = self._lender.twin(False)
+        factor(self._spare.own, operator)
+        return self._spare.own.again(right, digits=digits)
+
+    def solve(self, right: Array, digits: float = DIGITS) -> Array:
+        """Solve with the tangent. Collective.
+
+        Args:
+            right: Right-hand side, shape (owned,).
+            digits: Residual that may remain, relative to the right-hand side.
+        """
+        linear = self._linear
+        if linear.direct:
+            return linear.again(right, digits=digits)
+        if self._known and not self._products:
+            self._products = [linear.product(x) for x in self._known]
+        found = linear.again(right, self._guess(right), digits)
+        self._known.append(found)
+        self._products.append(linear.product(found))
+        return found
+
+    def _guess(self, right: Array) -> Array:
+        """Combination of the known solutions that leaves the smallest residual. Collective.
+
+        See Fischer (1998, doi 10.1016/S0045-7825(98)00012-7) on successive right-hand sides.
+        """
+        P = np.column_stack(self._products)
+        sums = self._comm.allreduce(np.column_stack([P.T @ P, P.T @ right]), op=MPI.SUM)
+        size = np.sqrt(np.diag(sums))
+        size[size == 0.0] = 1.0
+        square = sums[:, :-1] / np.outer(size, size)
+        weights = np.linalg.lstsq(square, sums[:, -1] / size, rcond=1e-12)[0] / size
+        return np.column_stack(self._known) @ self._comm.bcast(weights)
+
+    def follow(self, operator: Operator, x: Array, kept: Array) -> Array:
+        """Unknowns at which the out-of-balance force is that of the solution. Collective.
+
+        Args:
+            operator: The equations of a run that follows.
+            x: The unknowns of the solution, shape (owned,).
+            kept: The out-of-balance force there (N), shape (owned,).
+        """
+        residual = operator.residual(x)
+        rest = residual.values - kept
+        first, least = self._norm(rest), ROUNDING * residual.reference
+        if first <= least:
+            return x
+        if self.exact:
+            return x - self.solve(rest)
+        if self._linear is self._lender and self._lender.version != self._version:
+            self._assemble(operator)
+        x, former = x - self.solve(rest, _FIRST), first
+        for _ in range(3):
+            rest = operator.residual(x).values - kept
+            norm = self._norm(rest)
+            if norm <= max(DIGITS * first, least):
+                return x
+            share = norm / former
+            if not share <= _SLOW:
+                return x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
+            digits = 0.3 * DIGITS * first / norm
+            x, former = x - self.solve(rest, min(max(digits, DIGITS), 0.1)), norm
+            # the next residual follows from what the tangent has left of this one
+            if share * norm <= DIGITS * first:
+                return x
+        return x
+
+    def _norm(self, values: Array) -> float:
+        return float(np.sqrt(self._comm.allreduce(float(values @ values), op=MPI.SUM)))
+
+
+def factor(linear: LinearSolver, operator: Operator) -> None:
+    """Assemble and factor the tangent, by other methods after failures. Collective.
+
+    Beyond a limit point the tangent is indefinite, so that Cholesky's factors do not exist.
+
+    Raises:
+        ConvergenceError: No method can solve with the tangent.
+    """
+    while True:
+        try:
+            linear.attach(operator)
+            assert linear.matrix is not None
+            operator.tangent(linear.matrix)
+            linear.solve(np.zeros(operator.here.unknowns.owned))
+            if not linear.stuck:
+                return
+            another = linear.enlarge() or linear.relax()
+        except PETSc.Error as error:
+            linear.why(error)
+            another = linear.relax()
+        if not another:
+            raise ConvergenceError(
+                "the tangent of a converged step is singular: it has no derivatives"
+            )
