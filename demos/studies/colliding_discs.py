@@ -195,7 +195,7 @@ say(
 #   by 0.0007 and 0.0003.
 # - Four points, `--courant 0.5` and a penalty of 50, 100, 200, which grows as 1/h², give 0.0467,
 #   0.0507, 0.0509. Then 0.012, 0.003, 0.0015 of the energy are neither kinetic nor elastic. The
-#   error is 0.002 on R/8 and R/16: it is not of second order, and the penalty is not its cause.
+#   error is 0.002 on R/8 and R/16: it is not of second order.
 #
 # Conforming linear triangles on one disc do not converge evenly either: 0.0521 and 0.0531 in
 # elements of R/16 and R/32 with a penalty of 5 E/h, 0.0547 and 0.0534 with one of 50 E/h.
