@@ -15,7 +15,7 @@ from dolfinmpm._platform.argumentchecks import check_function, number, shown, wh
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.study.derivatives import differentiate
 from dolfinmpm.study.distributions import LogNormal, Normal, checked, openturns
-from dolfinmpm.study.scenerun import Run, Scene
+from dolfinmpm.study.scenerun import Run, Scene, last_value
 
 __all__ = ["LimitState", "Reliability", "limit_state", "reliability"]
 
@@ -73,7 +73,7 @@ class LimitState:
             for item in run.steps:
                 if callable(item):
                     item()
-            found = float(np.asarray(run.measured[self._limit]()))
+            found = last_value(run, self._limit, self._named(x))
             self._keep(x, found, None)
             self.runs[1] += 1
         return self._known[x.tobytes()][0]

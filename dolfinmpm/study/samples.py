@@ -20,7 +20,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.study.distributions import checked
-from dolfinmpm.study.scenerun import Run
+from dolfinmpm.study.scenerun import Run, last_value
 
 __all__ = ["MonteCarlo", "last_figures", "monte_carlo"]
 
@@ -45,7 +45,7 @@ def last_figures(
         unconverged: "raise", or "failure": a run without a solution has the figure −inf.
 
     Raises:
-        ParameterError: The figure is unknown, or the scene takes no communicator.
+        ParameterError: The figure is unknown or not a number, or the scene takes no communicator.
         ConvergenceError: A run finds no solution, with unconverged="raise".
     """
     choice("unconverged", unconverged, ("raise", "failure"))
@@ -90,7 +90,7 @@ def _figure(scene: AnyScene, arguments: tuple[Any, ...], limit: str, unconverged
         if unconverged == "raise":
             raise
         return -math.inf
-    return float(np.asarray(run.measured[limit]()))
+    return last_value(run, limit, arguments[0])
 
 
 @dataclass

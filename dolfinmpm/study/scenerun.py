@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_function, check_kind, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.problem import Problem
 
-__all__ = ["Run", "Scene"]
+__all__ = ["Run", "Scene", "last_value"]
 
 Scene = Callable[[dict[str, float]], "Run"]
 
@@ -73,3 +75,20 @@ class Run:
         """The problems, as a list."""
         several = isinstance(self.problem, (list, tuple))
         return list(self.problem) if several else [self.problem]  # type: ignore[list-item]
+
+
+def last_value(run: Run, name: str, m: Mapping[str, float]) -> float:
+    """A figure of a run after its last step. Collective.
+
+    Args:
+        run: The run.
+        name: Name of the figure.
+        m: Parameters of the run, for the message.
+
+    Raises:
+        ParameterError: The figure is not a number. It would be neither below zero nor above.
+    """
+    value = float(np.asarray(run.measured[name]()))
+    if math.isnan(value):
+        raise ParameterError(f"the figure '{name}' is nan at {dict(m)}: return a number")
+    return value

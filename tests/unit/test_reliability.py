@@ -128,6 +128,14 @@ def test_bad_samplings(distributions, options, message):
         study.monte_carlo(planned(lambda m: 1.0), distributions, **options)
 
 
+def test_a_margin_that_is_no_number_is_not_safe():
+    scene = planned(lambda m: math.nan)
+    with pytest.raises(ParameterError, match=r"'margin' is nan at {'a': .*}: return a number"):
+        study.monte_carlo(scene, {"a": study.Normal()}, runs=2)
+    with pytest.raises(ParameterError, match="'margin' is nan"):
+        study.limit_state(scene, "margin", {"a": 1.0})([0.0])
+
+
 @pytest.mark.parametrize(
     ("sizes", "message"),
     [
