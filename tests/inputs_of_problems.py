@@ -170,7 +170,7 @@ INPUTS = {
     "materials.MohrCoulomb(10000.0, 0.3, 1.0, 20.0, dilation_angle=30.0)":
         "MohrCoulomb: dilation_angle = 30",
     "materials.MohrCoulomb(10000.0, 0.3, 0.0, 0.0)": "MohrCoulomb: without friction the cohesion",
-    "materials.MohrCoulomb(10000.0, 0.3, 2.0, 20.0, rate=1.0)": "MohrCoulomb: rate = 1 leads",
+    "materials.MohrCoulomb(10000.0, 0.3, 2.0, 20.0, rate=1.0)": "MohrCoulomb: rate = 1 has",
     "materials.DruckerPrager(10000.0, 0.3, 1.0, 95.0, dilation_angle=0.0)":
         "DruckerPrager: friction_angle =",
     "materials.DruckerPrager(10000.0, 0.3, 1.0, 20.0, dilation_angle=25.0)":
