@@ -239,9 +239,11 @@ def hill():
 figures = {part: {"level": level, "hill": hill}[part]() for part in args.parts}
 
 if not args.no_plot:
-    with mpm.figure(args.output / "free_field.png", 7.0, 2.8, ncols=2) as (_, (one, two)):
+    size = 3.5 * len(figures), 2.8
+    with mpm.figure(args.output / "free_field.png", *size, ncols=len(figures)) as (_, axes):
+        drawn = dict(zip(figures, np.atleast_1d(axes)))
         if "level" in figures:
-            found = figures["level"]
+            found, one = figures["level"], drawn["level"]
             fine = np.linspace(found["f"][0], found["f"][-1], 600)
             depth = 0.5 * args.h / args.points_per_cell
             one.plot(fine, amplification(fine, depth), color="k", lw=1, label="exact")
@@ -249,6 +251,7 @@ if not args.no_plot:
             one.set(xlabel="frequency (Hz)", ylabel="surface over outcrop", title="level ground")
             one.legend()
         if "hill" in figures:
+            two = drawn["hill"]
             for name, style in (("wide ground", "k-"), ("tied", "C1-"), ("free field", "C0--")):
                 curve = figures["hill"]["curves"][name]
                 two.plot(curve["t"], 1e3 * np.array(curve["vx"]), style, lw=1, label=name)
