@@ -12,31 +12,40 @@ from paraview.simple import *
 
 folder = os.path.dirname(os.path.abspath(globals().get("__file__", "here")))
 view = GetActiveViewOrCreate("RenderView")
+view.UseColorPaletteForBackground, view.Background = 0, [1.0, 1.0, 1.0]
 points = PVDReader(FileName=os.path.join(folder, {name!r} + ".pvd"))
 if {boxes}:  # each point as its domain, from x - l to x + l
     points = Glyph(Input=points, GlyphType="Box", GlyphMode="All Points", ScaleFactor=2.0)
     points.OrientationArray = ["POINTS", "No orientation array"]
     points.ScaleArray, points.VectorScaleMode = ["POINTS", "l"], "Scale by Components"
 shown = Show(points, view, PointSize=6.0)
-for part, look in {parts}:
-    other = Show(PVDReader(FileName=os.path.join(folder, {name!r} + part)), view)
-    other.SetRepresentationType(look)
-    other.ColorArrayName = ["POINTS", ""]
+grid = Show(PVDReader(FileName=os.path.join(folder, {name!r} + "_grid.pvd")), view)
+grid.SetRepresentationType("Wireframe")
+grid.AmbientColor = grid.DiffuseColor = [0.7, 0.7, 0.7]
+grid.ColorArrayName = ["POINTS", ""]
 scene = GetAnimationScene()
 scene.UpdateAnimationUsingDataTimeSteps()
 scene.GoToLast()
+view.InteractionMode = "2D" if {flat} else "3D"
+view.CameraFocalPoint = [0.0, 0.0, 0.0]
+view.CameraPosition, view.CameraViewUp = {camera}
+ResetCamera(view)  # on points and grid: a body may be much larger
+GetActiveCamera().Zoom(0.85)  # room for the bar
+if {bodies}:
+    bodies = Show(PVDReader(FileName=os.path.join(folder, {name!r} + "_bodies.pvd")), view)
+    bodies.SetRepresentationType("Surface")
+    bodies.ColorArrayName, bodies.LineWidth = ["POINTS", ""], 3.0
+    bodies.AmbientColor = bodies.DiffuseColor = [0.3, 0.3, 0.3]
 ColorBy(shown, {colour})
 shown.RescaleTransferFunctionToDataRange(False, True)
 bar = GetScalarBar(GetColorTransferFunction({field!r}), view)
 bar.Title, bar.ComponentTitle = {title!r}, {component!r}
 bar.Orientation, bar.WindowLocation = "Horizontal", "Lower Center"
+bar.TitleColor = bar.LabelColor = view.OrientationAxesLabelColor = [0.0, 0.0, 0.0]
 shown.SetScalarBarVisibility(view, True)
-view.InteractionMode = "2D" if {flat} else "3D"
-view.CameraFocalPoint = [0.0, 0.0, 0.0]
-view.CameraPosition, view.CameraViewUp = {camera}
-ResetCamera(view)
 Render(view)
 if sys.argv[-1].endswith(".png"):
+    view.ViewSize = [1200, 900]
     SaveScreenshot(sys.argv[-1], view)
 '''
 
@@ -51,9 +60,8 @@ def recipe_text(name: str, field: str, unit: str, component: str, flat: bool, **
         flat: Whether the points are in 1D or 2D.
         is_: `boxes`, whether the files have the field l; `bodies`, whether there are rigid bodies.
     """
-    parts = [("_grid.pvd", "Wireframe")] + [("_bodies.pvd", "Surface")] * is_["bodies"]
     colour = ("POINTS", field) + (component,) * bool(component)
     title = f"{field} ({unit})" if unit else field
     camera = ([0, 0, 1], [0, 1, 0]) if flat else ([-1, -2, 1], [0, 0, 1])
     drawn = {"flat": flat, "camera": camera, "field": field, "colour": colour}
-    return _RECIPE.format(name=name, parts=parts, title=title, component=component, **drawn, **is_)
+    return _RECIPE.format(name=name, title=title, component=component, **drawn, **is_)

@@ -27,7 +27,8 @@ def test_a_program_opens_the_series_in_paraview(tmp_path):
     text = recipe(path)
     assert "os.path.join(folder, 'quarter' + \".pvd\")" in text
     assert "if True:  # each point as its domain" in text
-    assert "[('_grid.pvd', 'Wireframe')]" in text
+    assert "'quarter' + \"_grid.pvd\"" in text
+    assert "if False:\n    bodies = Show(" in text
     assert "ColorBy(shown, ('POINTS', 'displacement', 'Magnitude'))" in text
     assert "'displacement (m)', 'Magnitude'" in text
     assert '"2D" if True' in text
@@ -40,7 +41,7 @@ def test_the_program_for_paraview_follows_what_is_written(tmp_path):
     ParaView(path, quarter(), fields=["stress", "density"], bodies=[disc])
     text = recipe(path)
     assert "if False:  # each point as its domain" in text
-    assert "('_bodies.pvd', 'Surface')" in text
+    assert "if True:\n    bodies = Show(" in text
     assert "ColorBy(shown, ('POINTS', 'stress', 'yy'))" in text
     assert "'stress (Pa)', 'yy'" in text
     ParaView(path, quarter(), fields=["id"])
