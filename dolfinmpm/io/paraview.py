@@ -291,6 +291,7 @@ class ParaView:
             return
         size, d = arrays[names[0]].shape[1], self.points.gdim
         text = recipe_text(
+            str(self._folder.parent.resolve()),
             self._folder.name,
             names[0],
             units[names[0]],

@@ -10,16 +10,22 @@ import sys
 
 from paraview.simple import *
 
-folder = os.path.dirname(os.path.abspath(globals().get("__file__", "here")))
+# `paraview --script` does not tell where this file is: after a move, write its folder here
+folder = {folder!r}
+if "__file__" in globals():
+    folder = os.path.dirname(os.path.abspath(__file__))
+series = os.path.join(folder, {name!r})
+if not os.path.exists(series + ".pvd"):
+    raise FileNotFoundError(series + ".pvd does not exist: write its folder into this program")
 view = GetActiveViewOrCreate("RenderView")
 view.UseColorPaletteForBackground, view.Background = 0, [1.0, 1.0, 1.0]
-points = PVDReader(FileName=os.path.join(folder, {name!r} + ".pvd"))
+points = PVDReader(FileName=series + ".pvd")
 if {boxes}:  # each point as its domain, from x - l to x + l
     points = Glyph(Input=points, GlyphType="Box", GlyphMode="All Points", ScaleFactor=2.0)
     points.OrientationArray = ["POINTS", "No orientation array"]
     points.ScaleArray, points.VectorScaleMode = ["POINTS", "l"], "Scale by Components"
 shown = Show(points, view, PointSize=6.0)
-grid = Show(PVDReader(FileName=os.path.join(folder, {name!r} + "_grid.pvd")), view)
+grid = Show(PVDReader(FileName=series + "_grid.pvd"), view)
 grid.SetRepresentationType("Wireframe")
 grid.AmbientColor = grid.DiffuseColor = [0.7, 0.7, 0.7]
 grid.ColorArrayName = ["POINTS", ""]
@@ -32,7 +38,7 @@ view.CameraPosition, view.CameraViewUp = {camera}
 ResetCamera(view)  # on points and grid: a body may be much larger
 GetActiveCamera().Zoom(0.85)  # room for the bar
 if {bodies}:
-    bodies = Show(PVDReader(FileName=os.path.join(folder, {name!r} + "_bodies.pvd")), view)
+    bodies = Show(PVDReader(FileName=series + "_bodies.pvd"), view)
     bodies.SetRepresentationType("Surface")
     bodies.ColorArrayName, bodies.LineWidth = ["POINTS", ""], 3.0
     bodies.AmbientColor = bodies.DiffuseColor = [0.3, 0.3, 0.3]
@@ -50,10 +56,13 @@ if sys.argv[-1].endswith(".png"):
 '''
 
 
-def recipe_text(name: str, field: str, unit: str, component: str, flat: bool, **is_: bool) -> str:
+def recipe_text(
+    folder: str, name: str, field: str, unit: str, component: str, flat: bool, **is_: bool
+) -> str:
     """The program: points by a field as boxes 2 l wide or as dots, grid, rigid bodies, camera.
 
     Args:
+        folder: Absolute path of the folder that the series is in.
         name: Name of the series without ending.
         field, unit: The field for the colours, and its unit.
         component: Name of its component, "" where it has one only.
@@ -64,4 +73,5 @@ def recipe_text(name: str, field: str, unit: str, component: str, flat: bool, **
     title = f"{field} ({unit})" if unit else field
     camera = ([0, 0, 1], [0, 1, 0]) if flat else ([-1, -2, 1], [0, 0, 1])
     drawn = {"flat": flat, "camera": camera, "field": field, "colour": colour}
-    return _RECIPE.format(name=name, title=title, component=component, **drawn, **is_)
+    texts = {"folder": folder, "name": name, "title": title, "component": component}
+    return _RECIPE.format(**texts, **drawn, **is_)

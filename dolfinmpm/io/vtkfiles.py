@@ -5,8 +5,9 @@ wheels are none, theirs holds rank 0's piece only; with one it leaves out the un
 components' names; and it is written in place, where a reader, or a run that is broken off,
 meets half of it. There is no writer in VTK for the series.
 
-VTKHDF would be one file for all times and ranks, and ParaView 5.13 of Debian 13 opens it. But it has
-no place for units and names of components, and a run that is broken off in a write spoils all times.
+VTKHDF would be one file for all times and ranks, and ParaView 5.13 of Debian 13 opens it. But it
+has no place for units and names of components, and a run that is broken off in a write spoils all
+times.
 """
 
 from __future__ import annotations

@@ -25,9 +25,10 @@ def test_a_program_opens_the_series_in_paraview(tmp_path):
     path = tmp_path / "quarter.pvd"
     ParaView(path, quarter())
     text = recipe(path)
-    assert "os.path.join(folder, 'quarter' + \".pvd\")" in text
+    assert f"folder = {str(tmp_path.resolve())!r}\n" in text
+    assert "series = os.path.join(folder, 'quarter')" in text
     assert "if True:  # each point as its domain" in text
-    assert "'quarter' + \"_grid.pvd\"" in text
+    assert 'series + "_grid.pvd"' in text
     assert "if False:\n    bodies = Show(" in text
     assert "ColorBy(shown, ('POINTS', 'displacement', 'Magnitude'))" in text
     assert "'displacement (m)', 'Magnitude'" in text
