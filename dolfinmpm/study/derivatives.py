@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from dolfinmpm._platform.argumentchecks import check_function, number, shown, tr
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import RunState
+from dolfinmpm.study.derivativerestart import Savepoints
 from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
 from dolfinmpm.study.scenerun import Scene
 from dolfinmpm.study.tape import Tape, record
@@ -83,6 +85,8 @@ def differentiate(
     central: bool | None = None,
     epsilon: float | None = None,
     estimate: bool = False,
+    restart: str | os.PathLike[str] | None = None,
+    every: int = 10,
 ) -> Derivatives:
     """Figures of a run and their derivatives by its parameters, in one run. Collective.
 
@@ -114,13 +118,19 @@ def differentiate(
         estimate: Whether to estimate errors by a second perturbation, 8 times as large, in twice
             the time of two runs per parameter. A derivative that does not exist differs from one
             perturbation to another.
+        restart: Folder for checkpoints of the run and of all that follow it. If the folder has a
+            set of them, the run goes on from there. So a run that was broken off is started again
+            by the same call. `History` objects and files of the function `scene` begin anew.
+        every: Number of steps from one set of checkpoints to the next.
 
     Returns:
         Figures and derivatives after each step.
 
     Raises:
         ParameterError: A parameter or a size is no number, or a size is zero; the scene returns no
-            `Run`, or has taken steps already, and does not say that their state is given.
+            `Run`, or has taken steps already, and does not say that their state is given; or the
+            checkpoints belong to other parameters.
+        CheckpointError: A checkpoint is damaged, or cannot be written.
 
     The settlement of a column under its weight falls as Young's modulus rises:
 
@@ -177,7 +187,12 @@ def differentiate(
         [pair(name, times * first) for name in sizes]
         for times in ((1.0, _SECOND) if estimate else (1.0,))
     ]
-    figures, found = _followed(base, sets, tape)
+    saved = None
+    if restart is not None:
+        made_by = {"parameters": dict(parameters), "scales": sizes, "epsilon": first,
+                   "central": both, "estimate": estimate}  # fmt: skip
+        saved = Savepoints(restart, every, base, sets, made_by)
+    figures, found = _followed(base, sets, tape, saved)
     seconds = {name: sum(p.seconds for pairs in sets for p in pairs if p.name == name)
                for name in sizes}  # fmt: skip
     seconds["run"] = time.perf_counter() - started - sum(seconds.values())
@@ -194,7 +209,10 @@ def differentiate(
 
 
 def _followed(
-    base: FollowedRun, sets: Sequence[Sequence[FollowingRuns]], tape: Tape
+    base: FollowedRun,
+    sets: Sequence[Sequence[FollowingRuns]],
+    tape: Tape,
+    saved: Savepoints | None,
 ) -> tuple[dict[str, list[Array]], list[_Found]]:
     """Take all steps of a run, and let others follow each step. Collective.
 
@@ -202,12 +220,15 @@ def _followed(
         base: The run.
         sets: The runs that follow, for each perturbation and parameter.
         tape: Solutions of the run.
+        saved: Checkpoints, if there are to be any.
 
     Returns:
         Figures, and their derivatives for each set.
     """
     figures: dict[str, list[Array]] = {k: [] for k in base.run.measured}
     found: list[_Found] = [{k: {one.name: [] for one in pairs} for k in figures} for pairs in sets]
+    if saved is not None:
+        figures, found = saved.read() or (figures, found)
     while True:
         tape.clear()
         may_begin = any(pair.may_begin for pairs in sets for pair in pairs)
@@ -221,6 +242,8 @@ def _followed(
             for one in pairs:
                 for k, value in one.advance(base, before, marks, middle).items():
                     derivatives[k][one.name].append(value)
+        if saved is not None:
+            saved.write(figures, found)
     if base.taken == 1:
         raise ParameterError("the scene takes no step: derivatives are those of a run")
     return figures, found

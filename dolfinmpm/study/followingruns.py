@@ -126,6 +126,13 @@ class FollowingRuns:
         self.members.append(member)
         self.readers.append(reader)
 
+    def go_on(self, members: int, steps: int) -> None:
+        """Have as many runs as a checkpoint, and leave out the steps before it."""
+        if members > len(self.members):
+            self._add(-1)
+        for member in self.members:
+            member.leave_out(steps)
+
     @property
     def may_begin(self) -> bool:
         """Whether the second run may begin in the next step."""

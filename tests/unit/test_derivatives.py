@@ -104,7 +104,7 @@ def test_a_point_that_begins_to_yield_is_told():
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_a_second_run_begins_where_the_first_one_leaves(side):
+def test_a_second_run_begins_where_the_first_one_leaves(side, tmp_path):
     """In the third of five steps, a point yields at strengths below one between these two."""
     fixed = {"E": 10e3, "nu": 0.2, "density": 80.0}
     ends = [500.0, 510.0]
@@ -133,6 +133,18 @@ def test_a_second_run_begins_where_the_first_one_leaves(side):
         np.testing.assert_allclose(
             sign * by["yield"], exact, rtol=0, atol=1e-6 * np.abs(exact).max()
         )
+    # a checkpoint after the fourth step has both runs
+    for _ in range(2):
+        again = study.differentiate(
+            scene, {"yield": strength}, scales=found.scales, restart=tmp_path, every=4
+        )
+        assert again.notes == found.notes
+        assert len(list(tmp_path.glob("*.npz"))) == 3
+        for name, by in found.derivatives.items():
+            size = np.abs(by["yield"]).max()
+            np.testing.assert_allclose(
+                again.derivatives[name]["yield"], by["yield"], rtol=0, atol=1e-6 * size
+            )
 
 
 def test_errors_are_estimated_by_a_second_perturbation():

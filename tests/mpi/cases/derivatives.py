@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from pathlib import Path
 
+from mpi4py import MPI
+
 import dolfinmpm as mpm
+
+COMM = MPI.COMM_WORLD
 
 sys.path.append(str(Path(__file__).resolve().parents[3] / "demos" / "studies"))
 from derivative_scenes import CASES as SCENES
 from derivative_scenes import grid_of, sizes_of
 
 
-def _found(*names, central=None):
-    """Figures and derivatives of some examples, with their notes."""
+def _found(*names, central=None, restarted=()):
+    """Figures and derivatives of some examples; some go on from a checkpoint."""
     figures = {}
     for name in names:
         scene, parameters = SCENES[name]
-        found = mpm.study.differentiate(scene, parameters, scales=sizes_of(name), central=central)
+        options = {"scales": sizes_of(name), "central": central}
+        if name in restarted:
+            folder = COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None)
+            options |= {"restart": folder, "every": 2}
+            mpm.study.differentiate(scene, parameters, **options)
+        found = mpm.study.differentiate(scene, parameters, **options)
         assert not found.notes
         figures[name] = {
             k: {"values": values.tolist(), "derivatives": [d.tolist() for d in of.values()]}
@@ -29,7 +39,7 @@ def _found(*names, central=None):
 
 def derivatives():
     """An elastic column, one that yields, and an arch beyond its limit point."""
-    return _found("elastic", "von Mises", "arc length")
+    return _found("elastic", "von Mises", "arc length", restarted=["von Mises", "arc length"])
 
 
 def derivatives_in_contact():

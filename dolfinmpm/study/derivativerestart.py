@@ -1,0 +1,165 @@
+"""Checkpoints of a run and of the runs that follow it: derivatives go on after an interruption."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.argumentchecks import file_path, whole
+from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_together
+from dolfinmpm.solve.problem import Problem
+from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
+
+__all__ = ["Savepoints"]
+
+Array = npt.NDArray[np.float64]
+_INDEX = "derivatives.json"
+
+
+class Savepoints:
+    """Checkpoints in one folder; the last complete set counts. Collective.
+
+    Each problem of each run has an archive of its own. The index is written after them, in one
+    move, and the archives of the set before are removed after it. So a run that is killed at any
+    time leaves a complete set.
+
+    Args:
+        folder: The folder; it is created.
+        every: Number of steps from one set to the next.
+        base: The run.
+        sets: The runs that follow, for each perturbation and parameter.
+        made_by: What the numbers belong to: parameters, sizes, perturbations.
+
+    Raises:
+        ParameterError: The folder is no path, `every` is no whole number from 1, or the steps are
+            an iterator, of which none can be left out.
+        OSError: The folder cannot be made.
+    """
+
+    def __init__(
+        self, folder: str | os.PathLike[str], every: int, base: FollowedRun,
+        sets: Sequence[Sequence[FollowingRuns]], made_by: dict[str, Any],
+    ):  # fmt: skip
+        self._folder = file_path("restart", folder)
+        self._every = whole("every", every, 1)
+        if not isinstance(base.run.steps, Sequence):
+            raise ParameterError(
+                f"restart = '{self._folder}' goes on after the steps that have been taken, and an "
+                "iterator can leave out none: give study.Run a list of steps"
+            )
+        self._base, self._sets = base, sets
+        # as JSON gives it back
+        self._made_by = json.loads(json.dumps(made_by))
+        self._on_root(lambda: self._folder.mkdir(parents=True, exist_ok=True))
+
+    def _on_root(self, action: Callable[[], Any]) -> Any:
+        comm = self._base.comm
+        return comm.bcast(call_together(comm, action if comm.rank == 0 else lambda: None))
+
+    def _archives(self, taken: int) -> list[tuple[Problem, Path]]:
+        """All problems with the paths of their archives after some steps."""
+        runs = [self._base, *(m for pairs in self._sets for pair in pairs for m in pair.members)]
+        return [
+            (problem, self._folder / f"step{taken}_run{k}_problem{p}.npz")
+            for k, run in enumerate(runs)
+            for p, problem in enumerate(run.problems)
+        ]
+
+    def write(self, figures: Any, found: Any) -> None:
+        """Write a set if one is due. Collective.
+
+        Args:
+            figures: Name → values after each step.
+            found: Derivatives, for each perturbation: name → parameter → values after each step.
+
+        Raises:
+            CheckpointError, OSError: A file cannot be written.
+        """
+        taken = self._base.taken
+        if taken % self._every:
+            return
+        archives = self._archives(taken)
+        for problem, path in archives:
+            problem.save(path)
+        index = {
+            "made_by": self._made_by,
+            "taken": taken,
+            "members": [[len(pair.members) for pair in pairs] for pairs in self._sets],
+            "notes": [[pair.notes for pair in pairs] for pairs in self._sets],
+            "figures": _plain(figures),
+            "derivatives": _plain(found),
+        }
+
+        def replace() -> None:
+            part = self._folder / f"{_INDEX}.part"
+            part.write_text(json.dumps(index), encoding="utf-8")
+            os.replace(part, self._folder / _INDEX)
+            for old in set(self._folder.glob("step*_run*_problem*.npz")) - {p for _, p in archives}:
+                old.unlink()
+
+        self._on_root(replace)
+
+    def read(self) -> tuple[Any, Any] | None:
+        """Set all runs to the last set, and return its figures and derivatives. Collective.
+
+        Returns:
+            Figures and derivatives as `write` takes them; None if the folder has no set.
+
+        Raises:
+            CheckpointError: A file is damaged.
+            ParameterError: The set belongs to other parameters or perturbations.
+        """
+        index = self._on_root(self._index)
+        if index is None:
+            return None
+        for what, mine in self._made_by.items():
+            if index["made_by"].get(what) != mine:
+                raise ParameterError(
+                    f"restart = '{self._folder}' has a run with {what} = "
+                    f"{index['made_by'].get(what)}, and this one has {mine}: give a folder of its "
+                    "own, or remove the old one"
+                )
+        taken = index["taken"]
+        for pairs, members, notes in zip(self._sets, index["members"], index["notes"]):
+            for pair, number, known in zip(pairs, members, notes):
+                pair.notes = {what: list(at) for what, at in known.items()}
+                pair.go_on(number, taken)
+        self._base.leave_out(taken)
+        for problem, path in self._archives(taken):
+            problem.load(path)
+        return _arrays(index["figures"]), _arrays(index["derivatives"])
+
+    def _index(self) -> Any:
+        path = self._folder / _INDEX
+        if not path.exists():
+            return None
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as cause:
+            raise CheckpointError(
+                f"'{path}' is damaged ({cause}): remove the folder, and begin anew"
+            ) from cause
+
+
+def _plain(values: Any) -> Any:
+    """Nested dictionaries and lists of arrays, as lists of numbers."""
+    if isinstance(values, dict):
+        return {name: _plain(value) for name, value in values.items()}
+    if isinstance(values, list):
+        return [_plain(value) for value in values]
+    return {"array": values.tolist()}
+
+
+def _arrays(plain: Any) -> Any:
+    """The inverse of `_plain`."""
+    if isinstance(plain, list):
+        return [_arrays(value) for value in plain]
+    if plain.keys() == {"array"}:
+        return np.array(plain["array"], float)
+    return {name: _arrays(value) for name, value in plain.items()}
