@@ -51,7 +51,10 @@ u, v = V.increment, V.test
 
 F = -ufl.inner(ground.body_force(points), v) * points.dX
 for tag, (*_, phi, c) in soils.items():
-    law = mpm.materials.MohrCoulomb(E=40e6, nu=0.3, cohesion=c, friction_angle=phi)
+    # without dilation the wedge that slides would break up into bands of single cells
+    law = mpm.materials.MohrCoulomb(
+        E=40e6, nu=0.3, cohesion=c, friction_angle=phi, dilation_angle=phi / 3
+    )
     mpm.set_stress(law, points, ground.stress, tag=tag)
     F += mpm.momentum(law, points, u, v, tag=tag)
 motion = fem.Constant(grid, 0.0)  # m per step

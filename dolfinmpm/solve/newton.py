@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform.compat import DIVERGED_NAN
 from dolfinmpm.assembly.stencilsums import Matrix
+from dolfinmpm.body.location import bounds
 from dolfinmpm.solve.initialguess import InitialGuess
 from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.method import Tangent
@@ -60,6 +61,8 @@ class Solver(Protocol):
 
 # Linear solutions need not be better than this share of the tolerance
 _SPARE = 0.3
+# Increments below this share of the grid's size do not change positions
+_RESOLVED = 4 * np.finfo(float).eps
 
 
 class ConvergenceTest:
@@ -74,12 +77,14 @@ class ConvergenceTest:
         motion: Norm of the forces that prescribed motions alone would make.
         predicted: Whether a linear step was taken first, so that a tangent is known.
         guessed: Whether the iterations start from increments that no linear step made.
+        rounded: Whether the last change of the increments was lost in the rounding of positions.
     """
 
     def __init__(self, tolerance: float, max_iterations: int):
         self.tolerance, self.max_iterations = tolerance, max_iterations
         self.residuals: list[float] = []
         self.motion, self.predicted, self.guessed = 0.0, False, False
+        self.rounded = False
         self._first = 0.0
 
     def test(
@@ -228,7 +233,7 @@ class Newton:
             linear.forget()
         if reason <= 0:
             outcome.reason = name_of(reason)
-        elif not balance.residuals or balance.residuals[-1] > self.tolerance:
+        elif not (balance.rounded or min(balance.residuals[-1:], default=np.inf) <= self.tolerance):
             # SNES has other criteria, too; only the out-of-balance force counts
             outcome.reason = f"{name_of(reason)} without balance"
         elif not (self.searches and snes.getType() == "newtonls"):
@@ -249,6 +254,14 @@ class Newton:
         ahead: Residual | None = None
         secants = Secants(operator.here.unknowns.comm, operator.residual) if contact else None
         spare, smallest = _SPARE * self.tolerance, 0.0
+        low, high = bounds(operator.form.points.grid)
+        resolved = _RESOLVED * float(np.linalg.norm(high - low))
+        whole_steps = (
+            self.searches
+            and self.search == SEARCHES[0]
+            and not contact
+            and len(operator.here.movers) == len(operator.here.fields)
+        )
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
 
@@ -282,6 +295,11 @@ class Newton:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
+            if reason == Reason.ITERATING and whole_steps and iteration > 0:
+                # F = 1 + ∇u rounds strains: where they are tiny, forces cannot balance better
+                change = snes.getSolutionUpdate().norm(PETSc.NormType.NORM_INFINITY)
+                balance.rounded = change <= resolved
+                return Reason.CONVERGED_SNORM_RELATIVE if balance.rounded else reason
             stuck = secants is not None and secants.stuck
             if balance.guessed and reason == Reason.ITERATING and stuck:
                 return Reason.DIVERGED_LINE_SEARCH
