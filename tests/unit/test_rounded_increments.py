@@ -1,0 +1,74 @@
+"""Increments that are lost in the rounding of positions end Newton's method."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+
+
+def column(E, basis="gimp", weight=1e5, **options):
+    """A column of 4 m whose strain is weight / E, without lateral strain of its own."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(6)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), 2, 2000.0)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, -weight / 8000.0))
+    F = mpm.momentum(mpm.materials.Hencky(E, 0.0), points, u, v)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    return mpm.QuasiStatic(F, u, points, bcs, **options)
+
+
+@pytest.mark.parametrize("basis", ["linear", "gimp", "bspline2"])
+@pytest.mark.parametrize(("E", "error"), [(1e11, 1e-9), (1e13, 1e-7), (1e16, 1e-4)])
+def test_tiny_strains(E, error, basis):
+    """Strains of 1e-6 to 1e-11: F = 1 + strain has 16 digits, strain has fewer."""
+    problem = column(E, basis)
+    problem.step()
+    record = problem.history[-1]
+    assert record.iterations <= 3
+    assert record.halvings == 0
+    points = problem.points
+    stress = points["stress"][:, 1, 1]
+    mean = points["V0"] @ stress / points["V0"].sum()
+    # the mean of the stress under its own weight is half of the largest
+    assert mean == pytest.approx(-0.5e5, rel=error)
+
+
+def test_the_record_tells_what_is_out_of_balance():
+    problem = column(1e16)
+    problem.step()
+    assert 1e-9 < problem.history[-1].residuals[-1] < 1e-2
+
+
+def test_larger_increments_need_balance():
+    """Yielding soil whose increments are far above rounding converges to the tolerance."""
+    problem = column(1e7)
+    for _ in range(2):
+        problem.step()
+        assert problem.history[-1].residuals[-1] <= 1e-9
+
+
+def test_ground_before_the_wave_arrives():
+    """Velocities of 1e-13 m/s at the start of a smooth pulse take no more iterations than later."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(8), range(6)])
+    points = mpm.fill(grid, mpm.Box((3, 0), (4, 5)), 2, 1800.0)
+    V = mpm.Space(grid, "bspline2")
+    F = mpm.momentum(mpm.materials.Hencky(1e8, 0.25), points, V.increment, V.test)
+    t = np.linspace(0.0, 0.2, 201)
+    wave = mpm.InputMotion(t, velocity=1e-3 * np.exp(-(((t - 0.1) / 0.02) ** 2)))
+    rock = {"density": 2200.0, "p_speed": 1400.0, "s_speed": 800.0}
+    bcs = mpm.absorbing(V, "bottom", **rock, incoming=(wave, None))
+    tied = mpm.tied(V, period=1.0)
+    problem = mpm.Newmark(
+        F, V.increment, points, bcs, mass="consistent", prolongation=tied, ghost_mass=0.0
+    )
+    for time in np.arange(1, 101) * 2e-3:
+        problem.step(float(time))
+    assert max(record.iterations for record in problem.history) <= 3
+    assert sum(record.halvings for record in problem.history) == 0
