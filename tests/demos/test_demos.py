@@ -42,7 +42,10 @@ NUMBERS = {
 
 
 # tests of studies have what they show at smaller sizes
-_LONG = "column_collapse", "coupled_slope", "debris_flow", "plough", "runout"
+_LONG = (
+    "column_collapse", "cone", "coupled_slope", "debris_flow", "footing", "plough",
+    "published_law", "refined_cone", "runout",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(

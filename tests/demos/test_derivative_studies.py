@@ -16,7 +16,8 @@ def test_derivatives_beside_whole_runs():
     assert not row["notes"]
 
 
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_permeability_from_pressures_and_settlements(ranks, tmp_path):
     options = ("--steps", "5", "--output", str(tmp_path))
     found = study("calibrate_permeability", *options, ranks=ranks)

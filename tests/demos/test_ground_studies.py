@@ -39,6 +39,7 @@ def test_a_debris_flow_keeps_volume_and_momentum(tmp_path, ranks):
     assert 46.0 < found["front"] < 62.0
 
 
+@pytest.mark.long
 def test_debris_on_a_plane_has_the_velocity_of_a_block(tmp_path):
     size = "--bed", "plane", "--h", "5", "--duration", "3"
     found = figures(tmp_path, "debris_flow", *size, ranks=2)
@@ -48,7 +49,7 @@ def test_debris_on_a_plane_has_the_velocity_of_a_block(tmp_path):
 
 
 def test_level_ground_between_free_field_sides_is_its_column(tmp_path):
-    size = "--height", "10", "--h", "1", "--hill-h", "2", "--width", "3", "--duration", "1"
+    size = "--height", "10", "--h", "1", "--width", "2", "--duration", "0.7", "--courant", "0.4"
     found = figures(tmp_path, "free_field", "--parts", "level", *size)["level"]
     assert found["off_column"] < 1e-3
     assert found["vertical"] < 1e-3

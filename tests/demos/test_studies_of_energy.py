@@ -57,7 +57,7 @@ def test_smaller_steps_lose_less():
     assert lost[1] < 0.5 * lost[0]
 
 
-@pytest.mark.parametrize("scene", ["bodies", "impacts"])
+@pytest.mark.parametrize("scene", ["bodies", pytest.param("impacts", marks=pytest.mark.long)])
 def test_random_scenes(scene):
     found = energies("--scene", scene, "--count", "3")
     assert found["failed"] == 0

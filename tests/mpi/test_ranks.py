@@ -21,20 +21,26 @@ VARIANTS = {
     "bodies_that_collide",
     "bodies_that_rub",
     "boundaries_triangles",
+    "boundaries_total",
     "boundary_3d",
     "contact_restart_in_fused_steps",
     "deposits",
     "derivatives_in_contact",
+    "dynamics_lumped",
+    "dynamics_restart",
+    "explicit_boundaries",
     "explicit_restart",
     "facets_of_few_ranks",
     "fbar_3d",
     "fbar_bases",
+    "fbar_layers",
     "fbar_triangles",
     "nested_bases",
     "nested_restart",
     "regridded",
     "regraded_splines",
     "rest_of_splines",
+    "stabilisations_gimp",
     "stabilisations_linear",
     "stabilisations_triangles",
     "restart_arch",
@@ -50,7 +56,7 @@ VARIANTS = {
     "waves",
 }
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
-GROUP = 7
+GROUP = 14
 GROUPS = [list(CASES)[k : k + GROUP] for k in range(0, len(CASES), GROUP)]
 
 

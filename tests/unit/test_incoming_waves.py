@@ -42,8 +42,17 @@ def layer(way, axis=0, rock=1.0, wave=pulse):
     return points, WAYS[way](F, V.increment, points, bcs, prolongation=sides)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("way", "axis"),
+    [
+        pytest.param(
+            way, axis,
+            marks=[pytest.mark.long] * (axis == 1 and way not in ("newmark", "explicit")),
+        )
+        for way in WAYS
+        for axis in (0, 1)
+    ],
+)  # fmt: skip
 def test_a_wave_goes_up_and_comes_back(way, axis):
     """Of shear or of pressure: w(t − y/c) goes up, and w(t − (2H − y)/c) comes back."""
     c = (1.0, np.sqrt(2.0))[axis]
@@ -79,8 +88,15 @@ def test_all_that_came_in_leaves(way):
     assert energies.losses["damping"] == pytest.approx(energies.external, rel=1e-3)
 
 
-@pytest.mark.parametrize("wave", [None, pulse])
-@pytest.mark.parametrize("way", ["explicit", "lumped"])
+@pytest.mark.parametrize(
+    ("way", "wave"),
+    [
+        ("explicit", pulse),
+        ("lumped", None),
+        pytest.param("explicit", None, marks=pytest.mark.long),
+        pytest.param("lumped", pulse, marks=pytest.mark.long),
+    ],
+)
 def test_stiff_sides_make_no_energy(way, wave):
     """A rock ten times as stiff: dashpots are large beside the mass of the nodes in a step."""
     points, problem = layer(way, rock=10.0, wave=wave)
