@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 _FACTORISATION = (76, 71, 81)
 # Bound of yᵀKx − xᵀKy by rounding, relative to the size of the products
 _SYMMETRIC = 1e-9
+# Iterations of one more solution with the same tangent
+MOST_AGAIN = 500
 # Size of the increments in the test of symmetry, in cells
 _NEAR = 1e-4
 
@@ -51,7 +53,7 @@ class LinearSolver:
         true: The tangent without soft stiffness, as a PETSc matrix.
         choice: Choice of the method.
         method: The method, or None before the first matrix.
-        stuck: Whether the last `solve` failed.
+        stuck: Whether the last `solve` or `again` failed.
         version: Number of the last tangent or preparation.
         has_tangent: Whether a tangent was assembled since the last `attach`.
         reuse: Decision to keep a preconditioner, or None if the method never keeps one.
@@ -310,6 +312,7 @@ class LinearSolver:
         """
         A, b, y = self.true, self.vector(), self.vector()
         b.getArray()[:] = right
+        self.stuck = False
         if self.direct:
             self._ksp.getPC().apply(b, y)
             # Krylov's method repairs what factors of another matrix, or with too small pivots,
@@ -329,11 +332,12 @@ class LinearSolver:
     def _iterate(self, b: PETSc.Vec, y: PETSc.Vec, digits: float) -> None:
         """Iterate from y, with the last preconditioner; settings and counts stay. Collective."""
         ksp, kept = self._ksp, self._ksp.getTolerances()
-        ksp.setTolerances(rtol=digits, atol=1e-300, max_it=500)
+        ksp.setTolerances(rtol=digits, atol=1e-300, max_it=MOST_AGAIN)
         ksp.setInitialGuessNonzero(True)
         if self.reuse is not None:
             self.reuse.rests = True
         ksp.solve(b, y)
+        self.stuck = ksp.getConvergedReason() < 0
         if self.reuse is not None:
             self.reuse.rests = False
         ksp.setInitialGuessNonzero(False)

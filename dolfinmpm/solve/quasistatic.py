@@ -337,7 +337,8 @@ class QuasiStatic(Problem):
         record.iterations += outcome.iterations
         record.residuals = outcome.residuals
         record.linear_iterations += linear.iterations
-        if outcome.reason is None and outcome.iterations:
+        # a step that follows another run's solutions has not used this solver
+        if outcome.reason is None and outcome.iterations and not linear.failed:
             linear.warn_of_unread_options()
 
     def _commit(self, operator: Operator, state: NewState) -> None:

@@ -70,12 +70,13 @@ class _BorderAt:
     system: Array
 
     @classmethod
-    def of(cls, border: Border, x: Array, tangent: TapedTangent, comm: MPI.Intracomm) -> _BorderAt:
+    def of(cls, border: Border, operator: Operator, x: Array, tangent: TapedTangent) -> _BorderAt:
         """The equations at the unknowns x, with the tangent there. Collective."""
         gap, by_x, by_y = border.gap(x)
         columns = np.column_stack(
-            [tangent.solve(-column, ACCURATE) for column in border.slopes(x).T]
+            [tangent.solve(operator, -column, ACCURATE) for column in border.slopes(x).T]
         )
+        comm = operator.here.unknowns.comm
         system = comm.allreduce(by_x.T @ columns, op=MPI.SUM) + by_y
         return cls(border.value.copy(), gap, by_x, columns, system)
 
@@ -133,7 +134,7 @@ class Tape:
         )
         stage.states = _contact_states(operator)
         if border is not None:
-            stage.border = _BorderAt.of(border, outcome.x, stage.tangent, unknowns.comm)
+            stage.border = _BorderAt.of(border, operator, outcome.x, stage.tangent)
 
 
 def _contact_states(operator: Operator) -> list[npt.NDArray[np.int8]]:
@@ -268,7 +269,8 @@ class FollowingBordered(Bordered):
             border.predict(self.newton, operator)
         border.move(at.value - border.value)
         operator.update_external()
-        b = stage.tangent.solve(stage.force - operator.residual(known.x).values)
+        rest = stage.force - operator.residual(known.x).values
+        b = stage.tangent.solve(operator, rest)
         change = at.change(border.gap(known.x)[0], b, operator.here.unknowns.comm)
         x = known.x + b + at.columns @ change
         border.move(change)

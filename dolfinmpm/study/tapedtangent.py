@@ -88,25 +88,45 @@ class TapedTangent:
         factor(self._linear, operator)
 
     def _own(self, operator: Operator, right: Array, digits: float) -> Array:
-        """Solve with the tangent of a run that takes another way; others do not use it."""
+        """Solve with the tangent at present, by another method if need be; others do not use it.
+
+        Raises:
+            ConvergenceError: No method converges.
+        """
         if self._spare.own is None:
             self._spare.own = self._lender.twin(False)
-        factor(self._spare.own, operator)
-        return self._spare.own.again(right, digits=digits)
+        own = self._spare.own
+        while True:
+            factor(own, operator)
+            found = own.again(right, digits=digits)
+            if not own.stuck:
+                return found
+            if not own.relax():
+                raise ConvergenceError(
+                    "the linear solver does not converge with the tangent of a converged step, so "
+                    "that derivatives would be wrong: choose another one by petsc_options"
+                )
 
-    def solve(self, right: Array, digits: float = DIGITS) -> Array:
+    def solve(self, operator: Operator, right: Array, digits: float = DIGITS) -> Array:
         """Solve with the tangent. Collective.
 
         Args:
+            operator: The equations, close to the solution.
             right: Right-hand side, shape (owned,).
             digits: Residual that may remain, relative to the right-hand side.
+
+        Raises:
+            ConvergenceError: Neither this solver nor a more robust one converges.
         """
         linear = self._linear
         if linear.direct:
-            return linear.again(right, digits=digits)
+            found = linear.again(right, digits=digits)
+            return self._own(operator, right, digits) if linear.stuck else found
         if self._known and not self._products:
             self._products = [linear.product(x) for x in self._known]
         found = linear.again(right, self._guess(right), digits)
+        if linear.stuck:
+            return self._own(operator, right, digits)
         self._known.append(found)
         self._products.append(linear.product(found))
         return found
@@ -138,10 +158,10 @@ class TapedTangent:
         if first <= least:
             return x
         if self.exact:
-            return x - self.solve(rest)
+            return x - self.solve(operator, rest)
         if self._linear is self._lender and self._lender.version != self._version:
             self._assemble(operator)
-        x, former = x - self.solve(rest, _FIRST), first
+        x, former = x - self.solve(operator, rest, _FIRST), first
         for _ in range(3):
             rest = operator.residual(x).values - kept
             norm = self._norm(rest)
@@ -151,11 +171,15 @@ class TapedTangent:
             if not share <= _SLOW:
                 return x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
             digits = 0.3 * DIGITS * first / norm
-            x, former = x - self.solve(rest, min(max(digits, DIGITS), 0.1)), norm
+            x, former = x - self.solve(operator, rest, min(max(digits, DIGITS), 0.1)), norm
             # the next residual follows from what the tangent has left of this one
             if share * norm <= DIGITS * first:
                 return x
-        return x
+        rest = operator.residual(x).values - kept
+        norm = self._norm(rest)
+        if norm <= max(DIGITS * first, least):
+            return x
+        return x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
 
     def _norm(self, values: Array) -> float:
         return float(np.sqrt(self._comm.allreduce(float(values @ values), op=MPI.SUM)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import sys
 import warnings
@@ -9,9 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
 
+import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError
+from dolfinmpm._platform.errors import (
+    ConvergenceError,
+    DifferentProblemWarning,
+    ParameterError,
+)
+from dolfinmpm.solve import linearsolver
+from dolfinmpm.solve.linearsolver import LinearSolver
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
 from derivative_scenes import CASES, column, errors_of, history_of, sizes_of, swing
@@ -247,3 +258,49 @@ def test_a_run_that_goes_on_from_a_saved_state(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DifferentProblemWarning)
         assert max(errors_of(goes_on, parameters, found).values()) < OTHERS
+
+
+def bar(m, options=None):
+    """Weight of a bar, in two steps; figures are the positions of its points."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(6)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), 2, 80.0)
+    V = mpm.Space(grid, "gimp")
+    g = fem.Constant(grid, (0.0, -10.0))
+    F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.2), points, V.increment, V.test)
+    F -= ufl.inner(points.density * g, V.test) * points.dX
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, petsc_options=options)
+    return study.Run(problem, [problem.step] * 2, {"x": lambda: points["x"].copy()})
+
+
+def test_iterations_that_do_not_converge_are_told(monkeypatch):
+    jacobi = functools.partial(bar, options={"ksp_type": "cg", "pc_type": "jacobi"})
+    study.differentiate(jacobi, {"E": 1e5})
+    monkeypatch.setattr(linearsolver, "MOST_AGAIN", 1)
+    with pytest.raises(ConvergenceError, match="derivatives would be wrong"):
+        study.differentiate(jacobi, {"E": 1e5})
+
+
+def test_another_method_solves_where_the_first_one_does_not_converge(monkeypatch):
+    whole = study.differentiate(bar, {"E": 1e5})
+    relaxed, again, relax = set(), LinearSolver.again, LinearSolver.relax
+
+    def stuck(self, *args, **options):
+        found = again(self, *args, **options)
+        if id(self) in relaxed:
+            return found
+        self.stuck = True
+        return np.zeros_like(found)
+
+    def with_note(self):
+        relaxed.add(id(self))
+        return relax(self)
+
+    monkeypatch.setattr(LinearSolver, "again", stuck)
+    monkeypatch.setattr(LinearSolver, "relax", with_note)
+    found = study.differentiate(bar, {"E": 1e5})
+    assert relaxed
+    size = np.abs(whole.derivatives["x"]["E"]).max()
+    np.testing.assert_allclose(
+        found.derivatives["x"]["E"], whole.derivatives["x"]["E"], rtol=0, atol=1e-6 * size
+    )
