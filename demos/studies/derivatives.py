@@ -36,6 +36,7 @@ from derivative_scenes import (
 from options import Options, natural, option, positive
 from scene import finish, say
 
+import dolfinmpm as mpm
 from dolfinmpm import study
 
 
@@ -122,4 +123,22 @@ else:
         each = ", ".join(f"{m} {error:.0e}" for m, error in row["errors"].items())
         say(f"{row['case']:28s} {row['error']:.1e}   {each} {' '.join(row['notes'])}")
     figures = {"rows": rows}
+    if not args.no_plot:
+        tall = 0.9 + 0.2 * len(rows)
+        with mpm.figure(args.output / "derivatives.png", 4.6, tall) as (_, axes):
+            for k, row in enumerate(rows):
+                # an error of zero has no place on a logarithmic axis
+                found = [max(error, 1e-10) for error in row["errors"].values()]
+                axes.plot(found, [k] * len(found), "o", ms=3.5, color="C0", alpha=0.7)
+            axes.axvline(1e-7, color="0.6", lw=1, ls="--")
+            axes.axvline(1e-5, color="k", lw=1)
+            axes.set(
+                xscale="log", xlim=(1e-10, 1e-4), ylim=(len(rows) - 0.5, -0.5),
+                xlabel="error of the derivative by each parameter", yticks=range(len(rows)),
+                yticklabels=[row["case"] for row in rows],
+            )  # fmt: skip
+            axes.text(1e-7, 1.0, "elastic", transform=axes.get_xaxis_transform(),
+                      ha="right", va="bottom", fontsize=7, color="0.5")  # fmt: skip
+            axes.text(1e-5, 1.0, "others", transform=axes.get_xaxis_transform(),
+                      ha="left", va="bottom", fontsize=7)  # fmt: skip
 finish(args, figures)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -53,7 +54,7 @@ def _run(name: str, arguments: str, folder: Path) -> None:
     program = programs.file_of("studies", name)
     began = time.monotonic()
     result = subprocess.run(
-        [sys.executable, str(program), *arguments.split(), "--output", str(folder)],
+        [sys.executable, str(program), *shlex.split(arguments), "--output", str(folder)],
         capture_output=True,
         text=True,
         cwd=folder,
