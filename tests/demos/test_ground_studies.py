@@ -58,6 +58,5 @@ def test_level_ground_between_free_field_sides_is_its_column(tmp_path):
 
 @pytest.mark.long
 def test_waves_of_a_hill_leave_through_free_field_sides(tmp_path):
-    size = "--height", "10", "--h", "1", "--hill-h", "2", "--hill-duration", "0.6"
-    found = figures(tmp_path, "free_field", "--parts", "hill", *size)["hill"]
+    found = figures(tmp_path, "free_field", "--parts", "hill")["hill"]
     assert found["errors"]["free field"] < 0.5 * found["errors"]["tied"]
