@@ -41,6 +41,7 @@ import dolfinmpm as mpm
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly import evaluation, region
 from dolfinmpm.cut import activation
+from dolfinmpm.study.tape import Tape, record
 
 PACKAGE = Path(mpm.__file__).parent
 
@@ -158,6 +159,15 @@ def with_progress(cells: int) -> Block:
     return made
 
 
+def with_derivatives(cells: int) -> Block:
+    """A block whose solutions are kept for a run that follows."""
+    made, tape = block(cells), Tape()
+    tape.readers = 1
+    record(made.problem, tape)
+    made.after = tape.clear
+    return made
+
+
 def yielding() -> Any:
     """A law all of whose points yield."""
     return mpm.materials.VonMises(E=1e4, nu=0.3, radius=0.5)
@@ -176,6 +186,9 @@ FEATURES = (
     Feature("output", with_output, own=("paraview.py", "vtkfiles.py")),
     Feature("progress", with_progress, own=("progress.py",)),
     Feature("checkpoint", with_checkpoint, own=("checkpoint.py", "rowfile.py")),
+    Feature("derivatives", with_derivatives,
+            own=("tape.py", "tapedtangent.py", "followingruns.py", "branches.py",
+                 "derivativerestart.py")),
     Feature("third dimension", lambda n: block(n, 3)),
     Feature("stages", None, without_stages),
 )  # fmt: skip
