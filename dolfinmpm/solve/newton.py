@@ -254,14 +254,7 @@ class Newton:
         ahead: Residual | None = None
         secants = Secants(operator.here.unknowns.comm, operator.residual) if contact else None
         spare, smallest = _SPARE * self.tolerance, 0.0
-        low, high = bounds(operator.form.points.grid)
-        resolved = _RESOLVED * float(np.linalg.norm(high - low))
-        whole_steps = (
-            self.searches
-            and self.search == SEARCHES[0]
-            and not contact
-            and len(operator.here.movers) == len(operator.here.fields)
-        )
+        resolved = 0.0 if contact else self._resolved(operator)
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
 
@@ -295,8 +288,7 @@ class Newton:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
-            if reason == Reason.ITERATING and whole_steps and iteration > 0:
-                # F = 1 + ∇u rounds strains: where they are tiny, forces cannot balance better
+            if reason == Reason.ITERATING and resolved and iteration > 0:
                 change = snes.getSolutionUpdate().norm(PETSc.NormType.NORM_INFINITY)
                 balance.rounded = change <= resolved
                 return Reason.CONVERGED_SNORM_RELATIVE if balance.rounded else reason
@@ -314,6 +306,20 @@ class Newton:
         snes.setJacobian(jacobian, linear.true, matrix.petsc)
         snes.setConvergenceTest(test)
         return snes
+
+    def _resolved(self, operator: Operator) -> float:
+        """Change of the increments (m) that ends the iterations; 0 where none does. Collective.
+
+        F = 1 + ∇u rounds strains, so that forces of tiny strains balance to a few digits only. The
+        change tells of it if Newton's steps are full ones, and displacements the only unknowns.
+        """
+        here = operator.here
+        full = bool(self.searches) and self.search == SEARCHES[0]
+        newton = self.linear.snes.getType() == "newtonls"
+        if not (full and newton and len(here.movers) == len(here.fields)):
+            return 0.0
+        low, high = bounds(operator.form.points.grid)
+        return _RESOLVED * float(np.linalg.norm(high - low))
 
     def _set_search(self, snes: PETSc.SNES, search: str) -> None:
         """Set the line search, unless the user has chosen one. Collective."""
