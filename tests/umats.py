@@ -5,10 +5,15 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
 
 import dolfinmpm as mpm
 
+COMM = MPI.COMM_WORLD
 FOLDER = Path(__file__).resolve().parents[1] / "demos" / "umat"
 NEEDS_FORTRAN = pytest.mark.skipif(
     shutil.which("gfortran") is None, reason="UMATs need gfortran, which is not installed"
@@ -57,3 +62,32 @@ def sand(void_ratio=0.7, error=1e-6, **changed):
         values[8] = changed["R"]
     state = dict.fromkeys(INTERGRANULAR, 0.0) | {"void_ratio": void_ratio}
     return umat("hypoplasticity.f90", [*values, error], state)
+
+
+def bodies(dim):
+    """A body of some points, 2D, 3D or axisymmetric, twice."""
+    d = 3 if dim == 3 else 2
+    grid = mpm.create_lattice(COMM, [range(4)] * d)
+    box = mpm.Box((0,) * d, (3,) * d)
+    return [mpm.fill(grid, box, 2, 1.0, axisymmetric=dim == "axisymmetric") for _ in range(2)]
+
+
+def column(law, kind, **options):
+    """A column that leans on a roller and yields under its weight; steps are taken."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 4, 9), np.linspace(0, 6, 13)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 4.2)), 2, 2000.0)
+    V = mpm.Space(grid, "gimp")
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(law, points, V.increment, V.test, strain="jaumann", **options)
+    F -= ufl.inner(points.density * g, V.test) * points.dX
+    bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
+    problem = kind(F, V.increment, points, bcs, stabilisation="ghost")
+    if kind is mpm.QuasiStatic:
+        for load in (2.0, 4.0, 6.0):
+            g.value[1] = -load
+            problem.step()
+    else:
+        g.value[1] = -6.0
+        problem.step(0.15)
+        problem.step(0.3)
+    return problem
