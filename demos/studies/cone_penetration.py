@@ -382,9 +382,8 @@ if __name__ == "__main__":
     args = Input.parse()
     if args.curve:
         runs = []
-        for velocity in args.velocities:
-            args.velocity = velocity
-            runs.append({"velocity": velocity, **once(args)[0]})
+        for args.velocity in args.velocities:
+            runs.append({"velocity": args.velocity, **once(args)[0]})
         figures = {"runs": runs, **compared(runs)}
         text = f"drained {figures['drained_ratio']:.2f} times undrained"
         if "V50" in figures:
