@@ -19,8 +19,7 @@
 # The cone is wished in place at first, with its tip `--start` deep: what is beside it is filled,
 # and gaps of half a point close within the first steps. Domains of points shrink with their
 # volume and keep their axes: under the tip the ground is stretched along the cone's face without
-# end, and domains that are stretched as it is would touch the cone from far away, as if it were
-# wider by a fifth of R.
+# end, and stretched domains would touch the cone from far away, as if it were wider by R/5.
 #
 # A ghost penalty resists the increment where cells are cut, and so what flows past the cone:
 # with its usual factor the resistance is too large by a third in cells of R/2 and by a seventh in
@@ -382,14 +381,15 @@ if __name__ == "__main__":
     args = Input.parse()
     if args.curve:
         runs = []
-        for args.velocity in args.velocities:
-            runs.append({"velocity": args.velocity, **once(args)[0]})
-        figures = {"runs": runs, **compared(runs)}
+        for velocity in args.velocities:
+            args.velocity = velocity
+            runs.append({"velocity": velocity, **once(args)[0]})
+        figures = {"runs": runs} | compared(runs)
         text = f"drained {figures['drained_ratio']:.2f} times undrained"
         if "V50" in figures:
             text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
-            text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
-            text += f"m = {figures['m_fitted']:.2f}"
+            fitted = figures["V50_fitted"], figures["m_fitted"]
+            text += "the backbone at most, fitted by V50 = {:.2f} and m = {:.2f}".format(*fitted)
         say(text)
         if not args.no_plot and MPI.COMM_WORLD.rank == 0:
             draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
