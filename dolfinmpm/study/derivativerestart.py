@@ -113,7 +113,7 @@ class Savepoints:
 
         Raises:
             CheckpointError: A file is damaged.
-            ParameterError: The set belongs to other parameters or perturbations.
+            ParameterError: The set belongs to other parameters, perturbations or more steps.
         """
         index = self._on_root(self._index)
         if index is None:
@@ -125,7 +125,12 @@ class Savepoints:
                     f"{index['made_by'].get(what)}, and this one has {mine}: give a folder of its "
                     "own, or remove the old one"
                 )
-        taken = index["taken"]
+        taken, steps = index["taken"], len(self._base.run.steps)  # type: ignore[arg-type]
+        if taken > steps:
+            raise ParameterError(
+                f"restart = '{self._folder}' has {taken} steps, and this run takes {steps}: give a "
+                "folder of its own, or remove the old one"
+            )
         for pairs, members, notes in zip(self._sets, index["members"], index["notes"]):
             for pair, number, known in zip(pairs, members, notes):
                 pair.notes = {what: list(at) for what, at in known.items()}

@@ -163,6 +163,8 @@ def differentiate(
     """
     check_function("scene", scene, "of a dictionary of parameters")
     sizes = sizes_of(parameters, {} if scales is None else scales)
+    # in single precision the perturbation would be lost
+    parameters = {name: float(value) for name, value in parameters.items()}
     if central is not None:
         truth("central", central)
     truth("estimate", estimate)
@@ -189,7 +191,7 @@ def differentiate(
     ]
     saved = None
     if restart is not None:
-        made_by = {"parameters": dict(parameters), "scales": sizes, "epsilon": first,
+        made_by = {"parameters": parameters, "scales": sizes, "epsilon": first,
                    "central": both, "estimate": estimate}  # fmt: skip
         saved = Savepoints(restart, every, base, sets, made_by)
     figures, found = _followed(base, sets, tape, saved)
@@ -198,7 +200,7 @@ def differentiate(
     seconds["run"] = time.perf_counter() - started - sum(seconds.values())
     errors = {m: _difference(m, *found) for m in sizes} if estimate else {}
     return Derivatives(
-        dict(parameters), sizes,
+        parameters, sizes,
         {k: np.array(values) for k, values in figures.items()},
         {k: {m: np.array(v) for m, v in by.items()} for k, by in found[0].items()},
         [text for pair in sets[0] for text in pair.told()]

@@ -83,11 +83,19 @@ def test_derivatives_go_on_after_an_interruption(name, estimate, tmp_path):
 def test_checkpoints_of_other_parameters_are_refused(tmp_path):
     scene, parameters = CASES["von Mises"]
     kept = {"restart": tmp_path, "every": 1}
-    study.differentiate(scene, parameters, **kept)
+    study.differentiate(scene, {k: np.float32(v) for k, v in parameters.items()}, **kept)
+    parameters = {k: float(np.float32(v)) for k, v in parameters.items()}
     with pytest.raises(ParameterError, match=r"with parameters = .* remove the old one"):
         study.differentiate(scene, {**parameters, "E": 2 * parameters["E"]}, **kept)
     with pytest.raises(ParameterError, match="has a run with epsilon = 1e-07"):
         study.differentiate(scene, parameters, epsilon=1e-6, **kept)
+
+    def shorter(m):
+        run = scene(m)
+        return study.Run(run.problem, run.steps[:2], run.measured)
+
+    with pytest.raises(ParameterError, match="has 5 steps, and this run takes 2"):
+        study.differentiate(shorter, parameters, **kept)
     (tmp_path / "derivatives.json").write_text('{"made_by": ')
     with pytest.raises(CheckpointError, match=r"derivatives.json' is damaged .* begin anew"):
         study.differentiate(scene, parameters, **kept)

@@ -273,6 +273,12 @@ def bar(m, options=None):
     return study.Run(problem, [problem.step] * 2, {"x": lambda: points["x"].copy()})
 
 
+def test_parameters_in_single_precision_lose_no_digits():
+    single = study.differentiate(bar, {"E": np.float32(1e5)})
+    double = study.differentiate(bar, {"E": 1e5})
+    assert np.array_equal(single.derivatives["x"]["E"], double.derivatives["x"]["E"])
+
+
 def test_iterations_that_do_not_converge_are_told(monkeypatch):
     jacobi = functools.partial(bar, options={"ksp_type": "cg", "pc_type": "jacobi"})
     study.differentiate(jacobi, {"E": 1e5})
