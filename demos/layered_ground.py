@@ -51,7 +51,7 @@ u, v = V.increment, V.test
 
 F = -ufl.inner(ground.body_force(points), v) * points.dX
 for tag, (*_, phi, c) in soils.items():
-    # without dilation the wedge that slides would break up into bands of single cells
+    # without dilation a step takes hundreds of iterations once the wedge slides
     law = mpm.materials.MohrCoulomb(
         E=40e6, nu=0.3, cohesion=c, friction_angle=phi, dilation_angle=phi / 3
     )

@@ -21,8 +21,9 @@
 # **A hill** on the same ground, between free-field sides and between tied sides. The reference is
 # ground so wide that no wave comes back from its sides in the time of the run. What counts is the
 # velocity of the top of the hill, and the energy that is left in the ground. Dashpots let waves out
-# that meet the side at a right angle; of waves along the surface some come back. So sides belong at
-# a distance: `--hill-width 16` has them two hills away, where the error is eight times as large.
+# that meet the side at a right angle. Part of the waves along the surface comes back. So the sides
+# must be far from the hill: by default 26 m from its foot. With `--hill-width 16` they are 10 m
+# from it, and the error is eight times as large.
 
 # %%
 import math

@@ -87,6 +87,12 @@ class ConvergenceTest:
         self.rounded = False
         self._first = 0.0
 
+    @property
+    def fulfilled(self) -> bool:
+        """Whether the last forces were in balance, or as close to it as rounding allows."""
+        balanced = bool(self.residuals) and self.residuals[-1] <= self.tolerance
+        return balanced or self.rounded
+
     def test(
         self, norm: float, reference: float, iteration: int, by_field: Array | None = None
     ) -> int:
@@ -233,7 +239,7 @@ class Newton:
             linear.forget()
         if reason <= 0:
             outcome.reason = name_of(reason)
-        elif not (balance.rounded or min(balance.residuals[-1:], default=np.inf) <= self.tolerance):
+        elif not balance.fulfilled:
             # SNES has other criteria, too; only the out-of-balance force counts
             outcome.reason = f"{name_of(reason)} without balance"
         elif not (self.searches and snes.getType() == "newtonls"):

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import file_path, whole
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_together
+from dolfinmpm.io.vtkfiles import replace_file
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
 
@@ -97,9 +98,7 @@ class Savepoints:
         }
 
         def replace() -> None:
-            part = self._folder / f"{_INDEX}.part"
-            part.write_text(json.dumps(index), encoding="utf-8")
-            os.replace(part, self._folder / _INDEX)
+            replace_file(self._folder / _INDEX, json.dumps(index))
             for old in set(self._folder.glob("step*_run*_problem*.npz")) - {p for _, p in archives}:
                 old.unlink()
 

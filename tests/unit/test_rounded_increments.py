@@ -47,11 +47,11 @@ def test_the_record_tells_what_is_out_of_balance():
 
 
 def test_larger_increments_need_balance():
-    """Yielding soil whose increments are far above rounding converges to the tolerance."""
-    problem = column(1e7)
-    for _ in range(2):
-        problem.step()
-        assert problem.history[-1].residuals[-1] <= 1e-9
+    """Increments far above rounding come to the tolerance, in several iterations."""
+    problem = column(1e6)
+    problem.step()
+    assert problem.history[-1].residuals[-1] <= 1e-9
+    assert problem.history[-1].iterations >= 3
 
 
 def test_ground_before_the_wave_arrives():
