@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.simd import axpy, load, store
 from dolfinmpm.basis import Stencils
+from dolfinmpm.basis.incidence import by_nodes
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.cut.cellaverages import CellAverages
 from dolfinmpm.cut.pattern import Pattern
@@ -77,32 +79,67 @@ def _add_forces(
                         out[entry[entry_start[cell_start[g] + k] + a], i] += shares[share + k] * f
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _add_outer(
     row_start, row_nodes, start, nodes, volume, left, right, row_of, column_of, indptr, indices,
     data, prescribed, lift,
 ):  # fmt: skip
-    for c in range(start.size - 1):
-        if volume[c] == 0.0:
-            # only domains of points that do not count reach into the cell
+    """Node by node: the node's rows are summed over its cells in the cache, then added once."""
+    if row_nodes.size == 0:
+        return
+    low, first, lists, places = by_nodes(0, row_start.size - 1, row_start, row_nodes)
+    height, width = left.shape[1], right.shape[1]
+    slot, names = np.full(column_of.shape[0], -1, np.int32), np.empty(column_of.shape[0], np.int32)
+    place, f = np.empty(indptr.size - 1, np.int32), np.empty(height)
+    # a vector of four numbers for each component of a row
+    sums, vectors = np.empty((64, 4 * height)), np.zeros((right.shape[0], 4))
+    vectors[:, :width] = right
+    vectors_at = vectors.ctypes.data
+    for n in range(first.size - 1):
+        node, known, count = low + n, -1, 0
+        for i in range(height):
+            known = max(known, row_of[node, i])
+        if known < 0:
             continue
-        # nodes and columns both increase: one walk along each row of the matrix
-        for a in range(row_start[c], row_start[c + 1]):
-            for i in range(left.shape[1]):
-                row = row_of[row_nodes[a], i]
-                if row < 0:
-                    continue
-                f = left[a, i] / volume[c]
-                at = indptr[row]
-                for b in range(start[c], start[c + 1]):
-                    for k in range(right.shape[1]):
-                        column = column_of[nodes[b], k]
-                        if column >= 0:
-                            while indices[at] != column:
-                                at += 1
-                            data[at] += f * right[b, k]
-                        else:
-                            lift[row_nodes[a], i] += f * right[b, k] * prescribed[nodes[b], k]
+        for e in range(first[n], first[n + 1]):
+            c = lists[e]
+            if volume[c] == 0.0:
+                # only domains of points that do not count reach into the cell
+                continue
+            for i in range(height):
+                f[i] = left[row_start[c] + places[e], i] / volume[c]
+            if count + start[c + 1] - start[c] > sums.shape[0]:
+                larger = np.empty((2 * sums.shape[0] + start[c + 1] - start[c], 4 * height))
+                larger[:count] = sums[:count]
+                sums = larger
+            sums_at = sums.ctypes.data
+            for b in range(start[c], start[c + 1]):
+                if slot[nodes[b]] < 0:
+                    slot[nodes[b]], names[count] = count, nodes[b]
+                    sums[count] = 0.0
+                    count += 1
+                to = sums_at + 32 * height * slot[nodes[b]]
+                vector = load(vectors_at + 32 * b)
+                for i in range(height):
+                    store(to + 32 * i, axpy(f[i], vector, load(to + 32 * i)))
+        # all components of a node have the same columns
+        for at in range(indptr[known], indptr[known + 1]):
+            place[indices[at]] = at - indptr[known]
+        for s in range(count):
+            other = names[s]
+            slot[other] = -1
+            for k in range(width):
+                column = column_of[other, k]
+                for i in range(height):
+                    row = row_of[node, i]
+                    if row < 0:
+                        continue
+                    if column >= 0:
+                        data[indptr[row] + place[column]] += sums[s, 4 * i + k]
+                    else:
+                        lift[node, i] += sums[s, 4 * i + k] * prescribed[other, k]
+    # an address does not keep an array alive: without this line Numba frees both early
+    sums[0, 0] = vectors[0, 0]
 
 
 class CellCouplings:
