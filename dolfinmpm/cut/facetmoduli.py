@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -138,12 +139,25 @@ def isotropic_moduli(tangent: Array) -> Array:
     if d == 1:
         M = tangent.reshape(len(tangent))
         return np.stack([M, np.zeros_like(M)], axis=1)
-    volume = np.einsum("piikk->p", tangent)
-    whole = 0.5 * (np.einsum("pijij->p", tangent) + np.einsum("pijji->p", tangent))
     # of λ δ_ij δ_kl + μ (δ_ik δ_jl + δ_il δ_jk)
     traces = np.array([[d * d, 2.0 * d], [d, d * (d + 1.0)]])
-    lmbda, mu = np.linalg.solve(traces, np.stack([volume, whole]))
+    lmbda, mu = np.linalg.solve(traces, _traces(np.ascontiguousarray(tangent)))
     return np.stack([lmbda + 2 * mu, mu], axis=1)
+
+
+@numba.njit(cache=True)
+def _traces(tangent):
+    """D_iikk and the mean of D_ijij and D_ijji in one pass (Pa), shape (2, n)."""
+    n, d = tangent.shape[:2]
+    out = np.empty((2, n))
+    for p in range(n):
+        volume = whole = 0.0
+        for i in range(d):
+            for j in range(d):
+                volume += tangent[p, i, i, j, j]
+                whole += 0.5 * (tangent[p, i, j, i, j] + tangent[p, i, j, j, i])
+        out[0, p], out[1, p] = volume, whole
+    return out
 
 
 def bounded(moduli: Array, elastic: Array) -> Array:

@@ -24,6 +24,7 @@ from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.dynamics.halfstep import lateness, mapping_loss
 from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.nodalstates import NodalStates
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
@@ -86,12 +87,14 @@ class CollisionSteps(ExplicitBase):
 
     Attributes:
         force: Mean force of the other bodies on the first body in the last step (N), shape (d,).
+        states: Which nodes touch and slip; None unless somebody asks for them.
     """
 
     def __init__(self, problem: Problem, settings: Settings, sides: Sides, collision: Collision):
         super().__init__(problem, settings, sides, "bodies collide")
         self._collision, self._loads = collision, FusedLoads(problem.form)
         self.force: Array = np.zeros(problem.points.gdim)
+        self.states: NodalStates | None = None
 
     @stages.commit
     def _take(self, step: Step, kick: float) -> int | str:
@@ -183,12 +186,14 @@ class CollisionSteps(ExplicitBase):
     def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> NodalContact:
         """The nodes at which bodies touch."""
         basis, room = here.fields[0].basis, None
+        assert isinstance(basis, LatticeBasis)
+        if self.states is not None:
+            self.states.begin_step(basis)
         if self._collision.gap_test:
-            assert isinstance(basis, LatticeBasis)
             room = np.ones(basis.nodes.size)
             for k, line in enumerate(basis.lattice.lines):
                 room *= integrals(line, basis.degree)[basis.halo.node_ijk[:, k]]
-        return NodalContact(bodies, room, self._collision.friction)
+        return NodalContact(bodies, room, self._collision.friction, self.states)
 
     @stages.assemble
     def _exchange_mapped(

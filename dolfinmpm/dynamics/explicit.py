@@ -46,6 +46,7 @@ from dolfinmpm.dynamics.general import GeneralSteps
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
+from dolfinmpm.dynamics.nodalstates import NodalStates
 from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.smallmass import check_leaves
 from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
@@ -228,6 +229,13 @@ class Explicit(MovingBody, Problem):
         if not isinstance(self._loop, CollisionSteps):
             return np.zeros(self.points.gdim)
         return self._loop.force
+
+    def watch_collision(self) -> NodalStates | None:
+        """Keep which nodes of a `Collision` touch and slip from now on; None without one."""
+        if not isinstance(self._loop, CollisionSteps):
+            return None
+        self._loop.states = self._loop.states or NodalStates()
+        return self._loop.states
 
     @property
     def ledger(self) -> Ledger:

@@ -9,7 +9,8 @@ begins in this step, from the mirror image of the first run.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,20 @@ from mpi4py import MPI
 
 from dolfinmpm.assembly.state import HasState, Local, OfCells, gathered, given_back
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.dynamics.explicit import Explicit
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
-__all__ = ["Marks", "RunState", "mirror", "points_of"]
+__all__ = ["Events", "Marks", "RunState", "mirror", "points_of"]
 
 Array = npt.NDArray[Any]
+# words for what happens → for each set of points, or problem, sorted sets of numbers of its points
+# or nodes
+Events = dict[str, list[list[Array]]]
+
+_YIELD = "points start or stop to yield"
+_CROSS = "points cross a cell"
+_COLLIDE = "nodes of colliding bodies begin or end to touch or slip"
 
 
 def points_of(problems: Sequence[Problem]) -> list[MaterialPoints]:
@@ -36,7 +45,7 @@ def points_of(problems: Sequence[Problem]) -> list[MaterialPoints]:
 
 
 class Marks:
-    """Which points of a run yield in a step, and which points cross a cell.
+    """Which points of a run yield or cross a cell, and which nodes touch and slip, in a step.
 
     Args:
         problems: The problems of the run.
@@ -52,6 +61,8 @@ class Marks:
         spaces = [space for problem in problems for space in problem.form.spaces]
         self._kinks = any(not s.basis.averaged and s.basis.continuity == 0 for s in spaces)
         self._before: list[dict[str, Array]] = []
+        watched = [p.watch_collision() for p in problems if isinstance(p, Explicit)]
+        self._colliding = [states for states in watched if states is not None]
 
     def _names(self, points: MaterialPoints) -> list[str]:
         """Names of the internal variables of the laws."""
@@ -71,12 +82,16 @@ class Marks:
             }
             for points in self._points
         ]
+        for states in self._colliding:
+            states.begin()
 
-    def end(self) -> dict[str, list[Array]]:
-        """What has happened in the step, as sets of the points' numbers, by words for it."""
-        found: dict[str, list[Array]] = {"points start or stop to yield": []}
+    def end(self) -> Events:
+        """What has happened in the step."""
+        found: Events = {_YIELD: []}
         if self._kinks:
-            found["points cross a cell"] = []
+            found[_CROSS] = []
+        if self._colliding:
+            found[_COLLIDE] = [states.sets for states in self._colliding]
         for points, before in zip(self._points, self._before):
             ids, at = points.fields.read("id"), None
             first = np.asarray(before["id"])
@@ -85,6 +100,7 @@ class Marks:
                 at = np.flatnonzero(np.isin(ids, first))
                 order = np.argsort(first)
                 rows = order[np.searchsorted(first[order], ids[at])]
+            yielding = []
             for name in self._names(points):
                 if name not in before:
                     continue
@@ -93,7 +109,8 @@ class Marks:
                     now, old = now[at], old[rows]
                 changed = np.any(now != old, axis=tuple(range(1, now.ndim)))
                 numbers = ids if at is None else ids[at]
-                found["points start or stop to yield"].append(np.sort(numbers[changed]))
+                yielding.append(np.sort(numbers[changed]))
+            found[_YIELD].append(yielding)
             if self._kinks:
                 now, old = points.fields.read("cell"), before["cell"]
                 changed = np.ones(len(ids), bool)
@@ -102,19 +119,27 @@ class Marks:
                 else:
                     # points that come from another rank have crossed a cell
                     changed[at] = now[at] != old[rows]
-                found["points cross a cell"].append(np.sort(ids[changed]))
+                found[_CROSS].append([np.sort(ids[changed])])
         return found
 
 
-def differences(comm: MPI.Intracomm, a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, int]:
-    """Number of points in which two results of `Marks.end` differ, by words. Collective."""
+def differences(comm: MPI.Intracomm, a: Events, b: Events) -> dict[str, int]:
+    """Number of points or nodes in which two results of `Marks.end` differ. Collective.
+
+    Returns:
+        Words for what differs → number, where there is a difference.
+    """
     names = sorted({*a, *b})
-    counts = [
-        sum(np.setxor1d(p, q).size for p, q in zip(a.get(name, ()), b.get(name, ())))
-        for name in names
-    ]
+    counts = [sum(_apart(p, q) for p, q in zip(a.get(name, ()), b.get(name, ()))) for name in names]
     sums = comm.allreduce(np.array(counts, np.int64), op=MPI.SUM)
     return {name: int(n) for name, n in zip(names, sums) if n}
+
+
+def _apart(a: Sequence[Array], b: Sequence[Array]) -> int:
+    """Number of points or nodes that are in a set of one list, and not in that of the other."""
+    pairs = zip_longest(a, b, fillvalue=np.empty(0, np.int64))
+    apart = [np.setxor1d(p, q) for p, q in pairs if not np.array_equal(p, q)]
+    return np.unique(np.concatenate(apart)).size if apart else 0
 
 
 class RunState:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ from dolfinmpm._platform.argumentchecks import check_kind, coordinates
 from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.study.branches import Marks, RunState, differences, mirror
+from dolfinmpm.study.branches import Events, Marks, RunState, differences, mirror
 from dolfinmpm.study.scenerun import Run, Scene
 from dolfinmpm.study.tape import Reader, Tape, follow
 
@@ -146,7 +145,7 @@ class FollowingRuns:
         ]
 
     def advance(
-        self, base: FollowedRun, before: RunState | None, marks: Mapping[str, Any],
+        self, base: FollowedRun, before: RunState | None, marks: Events,
         middle: Mapping[str, Array],
     ) -> dict[str, Array]:  # fmt: skip
         """Follow a step; returns the derivatives of the figures. Collective.
@@ -169,7 +168,7 @@ class FollowingRuns:
         self.seconds += time.perf_counter() - started
         return derivatives
 
-    def _follow(self, base: FollowedRun, k: int, marks: Mapping[str, Any]) -> list[str]:
+    def _follow(self, base: FollowedRun, k: int, marks: Events) -> list[str]:
         """Let a run follow a step; returns what it does otherwise than the run at m. Collective."""
         member, reader = self.members[k], self.readers[k]
         reader.begin()

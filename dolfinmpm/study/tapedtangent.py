@@ -5,11 +5,14 @@ the runs that follow, as long as the run itself takes no further step. They diff
 solution by the last increment of the iteration, and a second solution corrects for it. Where many
 runs follow, the tangent at the solution is assembled for them, in a matrix of its own. The first
 run that follows assembles it where Newton's method has gone on to another solution in the step.
+
+Iterations begin in the span of known solutions: the increments of the run, and the changes by which
+other runs follow it, in this step and in the last one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +20,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import ConvergenceError
+from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.operator import Operator
 
@@ -30,6 +34,9 @@ _MANY_INCOMPLETE, _MANY = 3, 8
 # Out-of-balance force that may remain, as a share of what the perturbation makes: in general, and
 # in columns of additional equations. And its rounding, as a share of the loads
 DIGITS, ACCURATE, ROUNDING = 1e-7, 1e-10, 1e-15
+# What multigrid may leave of it: it leaves short waves, which are large in forces and small in
+# increments. These are then exact to some 1e-8.
+_MULTIGRID, _LEVELS = ("mg", "gamg"), 1e-6
 # Share that the first solution leaves, and the largest one with which a lent tangent is good enough
 _FIRST, _SLOW = 1e-5, 1e-2
 
@@ -41,10 +48,24 @@ class SpareSolver:
     Attributes:
         shared: The solver for all runs that follow, or None before its first use.
         own: The solver of a run that takes another way, likewise.
+        changes: Changes of the unknowns in the last step, shape (owned,) per run that follows.
+        unknowns: Numbering of these unknowns.
     """
 
     shared: LinearSolver | None = None
     own: LinearSolver | None = None
+    changes: list[Array] = field(default_factory=list)
+    unknowns: Unknowns | None = None
+
+    def take_changes(self, unknowns: Unknowns) -> list[Array]:
+        """The changes in the last step; a new list begins. Nothing if the unknowns are others.
+
+        Args:
+            unknowns: Numbering of the unknowns of this step.
+        """
+        last, self.changes = self.changes if self.unknowns is unknowns else [], []
+        self.unknowns = unknowns
+        return last
 
 
 class TapedTangent:
@@ -53,7 +74,7 @@ class TapedTangent:
     Args:
         operator: The equations, at the solution.
         linear: The linear solver of Newton's method, just after the solution.
-        x: The unknowns, shape (owned,): solutions begin in the span of x and of earlier solutions.
+        x: The unknowns, shape (owned,).
         readers: Number of runs that follow.
         spare: Solvers with matrices of their own.
         lend: Whether the tangent of Newton's last iteration may do.
@@ -71,11 +92,13 @@ class TapedTangent:
     ):  # fmt: skip
         self._lender, self._version, self._spare = linear, linear.version, spare
         self._complete, self._comm = readers >= _MANY_INCOMPLETE, linear.comm
-        self._known: list[Array] = [x]
+        self._known = [x, *spare.take_changes(operator.here.unknowns)]
         self._products: list[Array] = []
         method = linear.method
         few = method is not None and readers < (_MANY_INCOMPLETE if method.incomplete else _MANY)
         self.exact = not (lend and few and linear.has_tangent)
+        by_levels = method is not None and method.pc in _MULTIGRID
+        self._left = _LEVELS if by_levels else 0.3 * DIGITS
         self._linear = linear
         if self.exact:
             self._assemble(operator)
@@ -118,6 +141,12 @@ class TapedTangent:
         Raises:
             ConvergenceError: Neither this solver nor a more robust one converges.
         """
+        found = self._solve(operator, right, digits)
+        self._learn(found, right)
+        return found
+
+    def _solve(self, operator: Operator, right: Array, digits: float) -> Array:
+        """See `solve`; later solutions do not begin from this one."""
         linear = self._linear
         if linear.direct:
             found = linear.again(right, digits=digits)
@@ -125,11 +154,18 @@ class TapedTangent:
         if self._known and not self._products:
             self._products = [linear.product(x) for x in self._known]
         found = linear.again(right, self._guess(right), digits)
-        if linear.stuck:
-            return self._own(operator, right, digits)
-        self._known.append(found)
-        self._products.append(linear.product(found))
-        return found
+        return self._own(operator, right, digits) if linear.stuck else found
+
+    def _learn(self, found: Array, right: Array) -> None:
+        """Let later solutions begin in the span of this one, too.
+
+        Args:
+            found: The solution, shape (owned,).
+            right: Its right-hand side, likewise: the product of the solution but for what remains.
+        """
+        if not self._linear.direct:
+            self._known.append(found)
+            self._products.append(right)
 
     def _guess(self, right: Array) -> Array:
         """Combination of the known solutions that leaves the smallest residual. Collective.
@@ -153,15 +189,32 @@ class TapedTangent:
             kept: The out-of-balance force there (N), shape (owned,).
         """
         residual = operator.residual(x)
-        rest = residual.values - kept
-        first, least = self._norm(rest), ROUNDING * residual.reference
-        if first <= least:
+        rest, least = residual.values - kept, ROUNDING * residual.reference
+        if self._norm(rest) <= least:
             return x
+        found = self._follow(operator, x, kept, rest, least)
+        if not self._linear.direct:
+            change = x - found
+            self._learn(change, rest)
+            self._spare.changes.append(change)
+        return found
+
+    def _follow(
+        self, operator: Operator, x: Array, kept: Array, rest: Array, least: float
+    ) -> Array:
+        """See `follow`. Collective.
+
+        Args:
+            operator, x, kept: See `follow`.
+            rest: What the out-of-balance force at x has more than that of the solution (N).
+            least: Norm of it that counts as rounding (N).
+        """
         if self.exact:
-            return x - self.solve(operator, rest)
+            return x - self._solve(operator, rest, self._left)
+        first = self._norm(rest)
         if self._linear is self._lender and self._lender.version != self._version:
             self._assemble(operator)
-        x, former = x - self.solve(operator, rest, _FIRST), first
+        x, former = x - self._solve(operator, rest, _FIRST), first
         for _ in range(3):
             rest = operator.residual(x).values - kept
             norm = self._norm(rest)
@@ -170,8 +223,8 @@ class TapedTangent:
             share = norm / former
             if not share <= _SLOW:
                 return x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
-            digits = 0.3 * DIGITS * first / norm
-            x, former = x - self.solve(operator, rest, min(max(digits, DIGITS), 0.1)), norm
+            digits = min(max(self._left * first / norm, DIGITS), 0.1)
+            x, former = x - self._solve(operator, rest, digits), norm
             # the next residual follows from what the tangent has left of this one
             if share * norm <= DIGITS * first:
                 return x

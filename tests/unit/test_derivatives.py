@@ -23,6 +23,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.solve import linearsolver
 from dolfinmpm.solve.linearsolver import LinearSolver
+from dolfinmpm.study import tapedtangent
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
 from derivative_scenes import CASES, column, errors_of, history_of, sizes_of, swing
@@ -310,3 +311,18 @@ def test_another_method_solves_where_the_first_one_does_not_converge(monkeypatch
     np.testing.assert_allclose(
         found.derivatives["x"]["E"], whole.derivatives["x"]["E"], rtol=0, atol=1e-6 * size
     )
+
+
+def test_multigrid_leaves_less_of_the_increments_than_of_the_forces(monkeypatch):
+    scene = functools.partial(column, dimension=3, steps=2, fine=4, tolerance=1e-9)
+    parameters = CASES["elastic, 3D"][1]
+    run = scene(parameters)
+    run.steps[0]()
+    assert run.problem.newton.linear.method.pc == "mg"
+    loose = study.differentiate(scene, parameters).derivatives
+    monkeypatch.setattr(tapedtangent, "_LEVELS", 1e-11)
+    tight = study.differentiate(scene, parameters).derivatives
+    for name, by in tight.items():
+        size = max(np.abs(values).max() for values in by.values())
+        for m, values in by.items():
+            assert np.abs(loose[name][m] - values).max() < 0.5 * ELASTIC * size

@@ -1,0 +1,99 @@
+"""Derivatives of runs with bodies that collide at the nodes, and the kinks that are told there."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import unit_grid
+
+import dolfinmpm as mpm
+from dolfinmpm import study
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
+from derivative_scenes import errors_of, history_of
+
+AWAY = {"E": 1e5, "friction": 0.3, "speed": 1.0, "across": 0.2, "gap": -0.002}
+TOLD = "nodes of colliding bodies begin or end to touch or slip within the perturbation"
+
+
+def thrown(m, steps=4, scheme="musl", mapping="flip", gap_test=True):
+    """A block is thrown aslant at another one."""
+    grid = unit_grid("quadrilateral", 6)
+    points = mpm.fill(grid, mpm.Box((0.1, 0.1), (0.8, 0.45)), 2, 1000.0, tag=1)
+    points += mpm.fill(grid, mpm.Box((0.25, 0.45), (0.65, 0.8)), 2, 1000.0, tag=2)
+    above = points["tag"] == 2
+    points["x"][above, 1] += m["gap"]
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.2), points, V.increment, V.test)
+    collision = mpm.Collision((1, 2), friction=m["friction"], gap_test=gap_test)
+    problem = mpm.Explicit(
+        F, V.increment, points, collision=collision, scheme=scheme, mapping=mapping
+    )
+    points["velocity"][above] = (m["across"], -m["speed"])
+    measured = {
+        "motion": lambda: points["velocity"][points["tag"] == 2].mean(axis=0),
+        "places": lambda: points["x"].copy(),
+    }
+    times = [3e-3 * (k + 1) for k in range(steps)]
+    return study.Run(problem, [partial(problem.step, t) for t in times], measured)
+
+
+def states_of(scene, parameters, steps):
+    """The sets of nodes that touch and slip in the last of some steps."""
+    run = scene(parameters)
+    states = run.problem.watch_collision()
+    for step in run.steps[:steps]:
+        states.begin()
+        step()
+    return [numbers.tolist() for numbers in states.sets if numbers.size]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"scheme": "usl"}, {"mapping": "pic", "gap_test": False}],
+    ids=["musl", "usl", "pic without a gap test"],
+)
+def test_derivatives_of_a_collision_are_differences_of_whole_runs(options):
+    scene = partial(thrown, **options)
+    found = study.differentiate(scene, AWAY, scales={"gap": 0.1})
+    assert not found.notes
+    errors = errors_of(scene, AWAY, found, h=1e-5)
+    assert all(abs(d).max() > 1e-3 for d in found.derivatives["motion"].values())
+    assert max(errors.values()) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [("friction", 0.1, 0.4), ("across", 0.2, 0.4), ("gap", 0.004, 0.012)]
+)
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_node_between_two_states_is_told(name, low, high, side):
+    """In the third step, nodes touch or slip otherwise on both sides of a value."""
+    ends = [low, high]
+    first = states_of(thrown, AWAY | {name: low}, 3)
+    for _ in range(40):
+        middle = sum(ends) / 2
+        ends[states_of(thrown, AWAY | {name: middle}, 3) != first] = middle
+    # the perturbation goes towards the other end, and passes the kink
+    value, sign = ends[side], 1 - 2 * side
+
+    def scene(m):
+        return thrown({**AWAY, **m})
+
+    found = study.differentiate(scene, {name: value}, scales={name: sign * value})
+    assert TOLD in found.notes[0]
+    assert found.notes[0].startswith(f"{name}, step ")
+    h = -sign * 1e-5
+    at, near, far = (history_of(scene, {name: value * (1 + k * h)}) for k in (0.0, 0.5, 1.0))
+    for key, by in found.derivatives.items():
+        exact = (4 * near[key] - far[key] - 3 * at[key]) / h
+        np.testing.assert_allclose(sign * by[name], exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+
+
+def test_who_asks_for_no_derivatives_keeps_no_states():
+    run = thrown(AWAY)
+    run.steps[0]()
+    assert run.problem._loop.states is None
