@@ -55,9 +55,11 @@ u, v = V.increment, V.test
 clay = mpm.materials.VonMises(E=E, nu=NU, radius=YIELD)
 gravity = fem.Constant(grid, (0.0, 0.0))
 F = mpm.momentum(clay, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
+# the order of Newton's method shows with a new tangent in each iteration
 problem = mpm.QuasiStatic(
-    F, u, points, mpm.rollers(V, "left", "bottom"), stabilisation=args.stabilisation
-)
+    F, u, points, mpm.rollers(V, "left", "bottom"), stabilisation=args.stabilisation,
+    petsc_options={"snes_lag_jacobian": 1},
+)  # fmt: skip
 
 # %% [markdown]
 # ## Work and energy

@@ -246,7 +246,8 @@ def newton() -> None:
         F = mpm.momentum(mpm.materials.Hencky(E=10e3, nu=0.0), body, u, v) - weight
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
         chosen = mpm.Stabilisation("soft", eta=1e-2) if kind == "soft" else "none"
-        problem = mpm.QuasiStatic(F, u, body, bcs, stabilisation=chosen)
+        every = {"snes_lag_jacobian": 1}
+        problem = mpm.QuasiStatic(F, u, body, bcs, stabilisation=chosen, petsc_options=every)
         counts = []
         for load in mpm.steps(40, label=kind):
             gravity.value[1] = -10.0 * load

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import numpy.typing as npt
@@ -118,6 +119,17 @@ class Evaluation(ActiveTerm):
         """See `ActiveTerm`. Collective if a law takes means over cells."""
         for region in self.regions:
             region.add_tangent(entries)
+
+    @contextmanager
+    def sampled(self) -> Iterator[None]:
+        """Take tangents of a sample of the points of each region, within the context."""
+        for region in self.regions:
+            region.sampled = True
+        try:
+            yield
+        finally:
+            for region in self.regions:
+                region.sampled = False
 
     def moduli(self) -> Array:
         """Moduli of the laws' present tangents; see `dolfinmpm.cut.facetmoduli`.

@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 
 # Points per chunk: the tangents of a chunk fit into the cache.
 _CHUNK = 4096
+# Chunks of a sample of the points
+_SAMPLE = 8
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class Region:
     Attributes:
         terms, part: The arguments.
         failure: The point at which a law found no stress in the last call, or None.
+        sampled: Whether tangents are those of a sample of the points.
     """
 
     def __init__(
@@ -65,7 +68,7 @@ class Region:
         part: ActiveRegion,
         shared: Mapping[tuple, Array],
     ):
-        self.terms, self.part = terms, part
+        self.terms, self.part, self.sampled = terms, part, False
         self.failure: PointFailure | None = None
         self._points, self._unknowns = points, unknowns
         self._rows = np.sort(part.stencils[0].order)
@@ -126,6 +129,10 @@ class Region:
 
     def _chunks(self) -> Iterator[tuple[int, int]]:
         """Ranges of groups with some thousand points each."""
+        every = list(self._all_chunks())
+        return iter(every[:: max(len(every) // _SAMPLE, 1)] if self.sampled else every)
+
+    def _all_chunks(self) -> Iterator[tuple[int, int]]:
         groups, first = self.part.stencils[0].groups, 0
         while first < groups.size - 1:
             last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
@@ -176,7 +183,8 @@ class Region:
             finally:
                 stages.evaluate.leave()
             yield first, last, out
-        self._known |= {k for k in asked if k in self._kept}
+        if not self.sampled:
+            self._known |= {k for k in asked if k in self._kept}
 
     def _kept_in(
         self, k: int, first: int, last: int, known: bool, again: bool = False
@@ -324,13 +332,15 @@ class Region:
         """Write the moduli M and G of the laws' tangents (Pa), shape (points, 2)."""
         s, points, d = self.part.stencils[0], self._points, self._points.strain_dim
         chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
+        # one array for all chunks: memory that the system gives anew would take time
+        largest = max((s.groups[b] - s.groups[a] for a, b in self._chunks()), default=0)
+        slopes = np.empty((largest, d * d, d * d))
         for k in chosen:
             known = k in self._known
             for first, last in self._chunks():
                 rows = s.order[s.groups[first] : s.groups[last]]
                 operand = self.operand(k, rows)
-                value = np.empty((rows.size, d * d))
-                slope = np.empty((rows.size, d * d, d * d))
+                value, slope = np.empty((rows.size, d * d)), slopes[: rows.size]
                 by_mean = np.empty_like(value) if k in self.terms.by_mean else None
                 # the end of the step reads them
                 kept = self._kept_in(k, first, last, known, again=True)

@@ -1,4 +1,4 @@
-"""First guess of the increments in contact with rigid bodies: those of the last step."""
+"""First guess of the increments: those of the last step."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm.basis import LeafBasis
 from dolfinmpm.contact.contactstencils import stencil_matrix
@@ -17,13 +18,25 @@ __all__ = ["InitialGuess"]
 Array = npt.NDArray[np.float64]
 
 
+# A first guess must reduce the forces out of balance to this share of those at zero increments
+_USEFUL = 0.1
+# Most steps without a trial, after guesses were of no use
+_MOST_WAIT = 16
+
+
 class InitialGuess:
     """The increments of the last step, as a first guess of the next increments.
 
+    Where loads grow evenly, increments hardly change from step to step, and one or two iterations
+    of Newton's method are saved. A guess that leaves more than a tenth of the forces out of balance
+    is not taken. The next guess is then tried after some steps, twice as many each time.
+
     Material flows past a rigid body in much the same way from step to step. With the last
     increments, the points touch the body at its new place, and points that yield are found to
-    yield. From zero increments, all points are elastic at first. The guess is zero at nodes that
-    were not active.
+    yield. From zero increments, all points are elastic at first. So with contact each guess is
+    tried, and taken if it is nearer to balance than zero increments.
+
+    The guess is zero at nodes that were not active.
 
     Attributes:
         length: Length of the present step, in time or load.
@@ -31,12 +44,37 @@ class InitialGuess:
 
     def __init__(self) -> None:
         self.length = 1.0
+        # steps before the next trial, and after the next guess without use
+        self._wait, self._next = 0, 1
+        # iterations of the last solution from zero increments
+        self._plain = 2
         # per field: owned nodes, and their increments in a step of length 1
         self._parts: list[tuple[npt.NDArray[np.int32], Array]] = []
         # per field: the basis of a refined field, whose nodes change with its leaves
         self._leaves: list[LeafBasis | None] = []
         # ranks of the nodes
         self._partition: Partition | None = None
+
+    def count(self, iterations: int) -> None:
+        """Take into account the iterations from zero increments. A single one is not saved."""
+        self._plain = iterations
+
+    @staticmethod
+    def share(contact: bool) -> float:
+        """Largest share of the forces at zero increments that a useful guess leaves."""
+        return 1.0 if contact else _USEFUL
+
+    def tried(self, contact: bool) -> bool:
+        """Whether a guess is tried in this solution."""
+        self._wait = max(self._wait - 1, 0)
+        return contact or (self._wait == 0 and self._plain > 1)
+
+    def judge(self, useful: bool) -> None:
+        """Take into account whether a guess was of use."""
+        if useful:
+            self._wait, self._next = 0, 1
+        else:
+            self._wait, self._next = self._next + 1, min(2 * self._next, _MOST_WAIT)
 
     def keep(self, operator: Operator) -> None:
         """Keep the present increments of an operator."""
@@ -57,7 +95,7 @@ class InitialGuess:
             self._parts.append((nodes, np.asarray(values[nodes] / scale, np.float64)))
 
     def on(self, operator: Operator) -> Array | None:
-        """The guess, or None if no increments are known. Collective.
+        """The guess, or None if no increments are known, or all are zero. Collective.
 
         Returns:
             The owned unknowns, shape (owned,).
@@ -75,15 +113,19 @@ class InitialGuess:
                 whole[nodes] = values
                 nodes, values = _between_leaves(old, whole, basis)
             u[nodes] = values * scales[k]
-        return operator.here.unknowns.restrict(nodal.arrays)
+        found = operator.here.unknowns.restrict(nodal.arrays)
+        moved = operator.here.unknowns.comm.allreduce(bool(found.any()), op=MPI.LOR)
+        return found if moved else None
 
     def _scales(self, operator: Operator) -> list[float]:
         """Factor of each field's increments: the step's length, or 1 for carried values."""
         return [self.length if name is None else 1.0 for name in operator.form.values]
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
-        """The kept increments of this rank, by name."""
-        kept: dict[str, npt.NDArray[Any]] = {}
+        """The kept increments of this rank, and what decides about the next trial, by name."""
+        kept: dict[str, npt.NDArray[Any]] = {
+            "guess trials": np.array([self._wait, self._next, self._plain])
+        }
         if any(leaves is not None for leaves in self._leaves):
             return kept
         for k, (nodes, values) in enumerate(self._parts):
@@ -98,6 +140,8 @@ class InitialGuess:
             partition: Partition of the points, which says the ranks of the nodes.
         """
         self._parts, self._partition, self._leaves = [], partition, []
+        trials = local.get("guess trials", (0, 1, 2))
+        self._wait, self._next, self._plain = (int(n) for n in trials)
         for k in range(sum(name.endswith(" nodes") for name in local if name.startswith("guess"))):
             self._parts.append((local[f"guess {k} nodes"], local[f"guess {k}"]))
             self._leaves.append(None)

@@ -98,18 +98,22 @@ def _suggestions(method: Method, options: Options) -> dict[str, object]:
     return own
 
 
-def share(method: Method, norm: float, former: float | None) -> float:
+def share(method: Method, norm: float, former: float | None, enough: float) -> float:
     """Relative residual at which the iterations of a linear solution may end.
 
     More digits would not help Newton's method. This is the second choice of Eisenstat & Walker
     (1996, doi 10.1137/0917003). The first value is smaller, because small increments are nearly
-    linear.
+    linear. If the next residual is small enough for the end, by the quadratic convergence so far,
+    a solution with all digits saves one more iteration of Newton's method.
 
     Args:
         method: The method.
         norm: Norm of the residual (N).
         former: Norm of the residual one Newton iteration before (N), or None.
+        enough: Norm of the residual at which Newton's method may end (N).
     """
+    if former is not None and norm**3 <= enough * former**2:
+        return DIGITS
     found = _FIRST_OF_FACTORS if method.factors else _FIRST
     if method.incomplete:
         found = _FIRST_OF_INCOMPLETE

@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 _FACTORISATION = (76, 71, 81)
 # Bound of yᵀKx − xᵀKy by rounding, relative to the size of the products
 _SYMMETRIC = 1e-9
+# Factor of the residual that is expected after an iteration with a former tangent
+_SAFE = 4.0
 # Iterations of one more solution with the same tangent
 MOST_AGAIN = 500
 # Size of the increments in the test of symmetry, in cells
@@ -192,13 +194,17 @@ class LinearSolver:
             self._take_matrix(here)
 
     def _looks_symmetric(self, operator: Operator) -> bool:
-        """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective."""
+        """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective.
+
+        Of many points, a sample tells.
+        """
         assert self.matrix is not None
         random = np.random.default_rng(operator.here.unknowns.comm.rank)
         n, scale = operator.here.unknowns.owned, _NEAR * smallest_height(operator.form.points.grid)
         # without strain, some unsymmetric tangents are symmetric
         operator.move(scale * random.uniform(-1, 1, n))
-        operator.tangent(self.matrix)
+        with operator.points.sampled():
+            operator.tangent(self.matrix)
         x, y, Kx, Ky = (self.vector() for _ in range(4))
         for v in (x, y):
             v.getArray()[:] = random.uniform(-1, 1, n)
@@ -233,19 +239,46 @@ class LinearSolver:
         """
         method, self.has_tangent = self.method, True
         self.version += 1
+        self._aim(norm, enough)
         if self.reuse is None or method is None:
             return
-        ksp = self._ksp
-        if not self._options.has("ksp_rtol"):
-            ksp.setTolerances(rtol=krylov.share(method, norm, self._former))
-        self._former = norm
-        ksp.setTolerances(atol=max(enough, 1e-300))
         if method.factors:
-            ksp.setTolerances(max_it=krylov.MOST_OF_FACTORS)
+            self._ksp.setTolerances(max_it=krylov.MOST_OF_FACTORS)
         if method.incomplete:
             # new incomplete factors are cheap; old ones may suddenly need many iterations
             self.reuse.renew()
         self._prepare()
+
+    def serves(self, norm: float, enough: float) -> bool:
+        """Prepare another solution with the last tangent, if it is good enough for the iteration.
+
+        A tangent reduces the residual by a share that grows with the distance of its increments
+        from the solution. In the next iteration, a former tangent is about as far away as it was
+        in the last one, and the residual falls by about the same share once more. With the PETSc
+        option `snes_lag_jacobian`, each iteration has a tangent of its own.
+
+        Args:
+            norm, enough: See `assembled`.
+
+        Returns:
+            Whether it is: the iteration probably is the last one.
+        """
+        former = self._former
+        if former is None or not self.has_tangent or self._options.has("snes_lag_jacobian"):
+            return False
+        if _SAFE * norm**2 > enough * former:
+            return False
+        self._aim(norm, enough)
+        return True
+
+    def _aim(self, norm: float, enough: float) -> None:
+        """Set the accuracy of the next solution; see `assembled`."""
+        if self.reuse is not None and self.method is not None:
+            if not self._options.has("ksp_rtol"):
+                share = krylov.share(self.method, norm, self._former, enough)
+                self._ksp.setTolerances(rtol=share)
+            self._ksp.setTolerances(atol=max(enough, 1e-300))
+        self._former = norm
 
     def _prepare(self) -> None:
         """Keep or renew the preconditioner for the present matrix. Collective."""

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.compat import DIVERGED_NAN
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.location import bounds
+from dolfinmpm.solve.convergencetest import ConvergenceTest
 from dolfinmpm.solve.initialguess import InitialGuess
 from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.method import Tangent
@@ -23,7 +23,7 @@ from dolfinmpm.solve.operator import Operator, Residual
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.secants import Secants
 
-__all__ = ["ConvergenceTest", "Newton", "Outcome", "Solver", "name_of"]
+__all__ = ["Newton", "Outcome", "Solver", "name_of"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
@@ -65,68 +65,13 @@ _SPARE = 0.3
 _RESOLVED = 4 * np.finfo(float).eps
 
 
-class ConvergenceTest:
-    """Convergence criterion of Newton's method: the relative out-of-balance force.
-
-    Args:
-        tolerance: Bound of the relative out-of-balance force.
-        max_iterations: Iterations allowed.
-
-    Attributes:
-        residuals: Relative out-of-balance forces so far.
-        motion: Norm of the forces that prescribed motions alone would make.
-        predicted: Whether a linear step was taken first, so that a tangent is known.
-        guessed: Whether the iterations start from increments that no linear step made.
-        rounded: Whether the last change of the increments was lost in the rounding of positions.
-    """
-
-    def __init__(self, tolerance: float, max_iterations: int):
-        self.tolerance, self.max_iterations = tolerance, max_iterations
-        self.residuals: list[float] = []
-        self.motion, self.predicted, self.guessed = 0.0, False, False
-        self.rounded = False
-        self._first = 0.0
-
-    @property
-    def fulfilled(self) -> bool:
-        """Whether the last forces were in balance, or as close to it as rounding allows."""
-        balanced = bool(self.residuals) and self.residuals[-1] <= self.tolerance
-        return balanced or self.rounded
-
-    def test(
-        self, norm: float, reference: float, iteration: int, by_field: Array | None = None
-    ) -> int:
-        """Reason of SNES to continue or to end.
-
-        Args:
-            norm: Norm of the out-of-balance force.
-            reference: Norm of external forces and reactions.
-            iteration: Number of the iteration, from 0.
-            by_field: Norm and reference per field, shape (fields, 2), because units differ between
-                fields. None for a single field, or before the references are known.
-        """
-        if not math.isfinite(norm):
-            return DIVERGED_NAN
-        if iteration == 0 and not self.guessed:
-            self._first = norm
-        # an unloaded body has no loads and reactions to compare with at the end
-        reference = max(reference, self._first, self.motion)
-        relative = norm / reference if reference else 0.0
-        for one, own in by_field if by_field is not None else ():
-            relative = max(relative, one / own if own else 0.0)
-        self.residuals.append(float(relative))
-        if relative <= self.tolerance:
-            return Reason.CONVERGED_FNORM_RELATIVE
-        return Reason.DIVERGED_MAX_IT if iteration >= self.max_iterations else Reason.ITERATING
-
-
 class Newton:
     """Newton's method with two line searches: the second is tried after the first has failed.
 
     Newton's method may cycle or overshoot where points start or stop to yield. It then starts
     again with the other line search, and uses this line search first from then on. In contact with
-    rigid bodies, `Secants` finds the length of each Newton step. The increments of the last step
-    are then the first guess; if they fail, zero increments are.
+    rigid bodies, `Secants` finds the length of each Newton step. `InitialGuess` has the first
+    guess; if it fails, zero increments are the first guess.
 
     Args:
         comm: Communicator of the problem.
@@ -141,7 +86,7 @@ class Newton:
         tolerance, max_iterations: The arguments.
         search: The line search that is tried first.
         searches: All line searches that are tried; none if the user has chosen one.
-        guess: The increments of the last step, for problems with contact.
+        guess: The increments of the last step.
     """
 
     def __init__(
@@ -176,20 +121,24 @@ class Newton:
         """Find the increments; see `Solver`. Collective."""
         outcome = Outcome()
         contact = self._in_contact(operator)
-        guess = self.guess.on(operator) if contact and not operator.here.driven else None
+        guess = None
+        if self.guess.tried(contact) and not (contact and operator.here.driven):
+            guess = self.guess.on(operator)
         self._attempt(operator, outcome, guess)
-        others = [s for s in self.searches if s != self.search]
-        if contact:
-            # secants replace the line searches; only the first guess can change
-            others = [self.search] if guess is not None else []
-        for search in others:
+        if guess is not None:
+            self.guess.judge(outcome.reason is None)
+        # secants replace the line searches; only the first guess can change
+        others = [s for s in self.searches if s != self.search and not contact]
+        for search in [self.search, *others] if guess is not None else others:
             # no line search helps after the linear solver has failed
             if outcome.reason is None or self.linear.failed:
                 break
             self.search = search
             self._attempt(operator, outcome)
-        if contact and outcome.reason is None:
+        if outcome.reason is None:
             self.guess.keep(operator)
+            if guess is None:
+                self.guess.count(outcome.iterations)
         return outcome
 
     def _in_contact(self, operator: Operator) -> bool:
@@ -213,7 +162,7 @@ class Newton:
             return
         try:
             linear.attach(operator)
-            if operator.here.driven:
+            if operator.here.driven and guess is None:
                 outcome.x = self._predict(operator, balance)
                 outcome.iterations += 1
             elif guess is not None:
@@ -276,10 +225,11 @@ class Newton:
             y.scale(share)
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-            operator.tangent(matrix)
             # with several fields, the field with the smallest reference needs the best solution
-            least = now.reference if now.by_field is None else smallest
-            weak.assembled(now.norm, spare * least)
+            enough = spare * (now.reference if now.by_field is None else smallest)
+            if not weak.serves(now.norm, enough):
+                operator.tangent(matrix)
+                weak.assembled(now.norm, enough)
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             nonlocal smallest
@@ -287,10 +237,9 @@ class Newton:
             if now.by_field is not None and (iteration > 0 or balance.predicted):
                 by_field = _references(operator, matrix.petsc, snes.getSolution(), now.by_field)
                 smallest = float(by_field[:, 1].min())
-            reason = balance.test(norms[2], now.reference, iteration, by_field)
+            reason = balance.test(norms[2], now.reference, iteration, by_field, not contact)
             if balance.guessed and iteration == 0:
-                # a guess that is further from balance than zero increments is useless
-                if not norms[2] < balance.motion:
+                if not norms[2] < InitialGuess.share(contact) * balance.motion:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
@@ -298,7 +247,7 @@ class Newton:
                 change = snes.getSolutionUpdate().norm(PETSc.NormType.NORM_INFINITY)
                 balance.rounded = change <= resolved
                 return Reason.CONVERGED_SNORM_RELATIVE if balance.rounded else reason
-            stuck = secants is not None and secants.stuck
+            stuck = balance.stalls if secants is None else secants.stuck
             if balance.guessed and reason == Reason.ITERATING and stuck:
                 return Reason.DIVERGED_LINE_SEARCH
             return reason

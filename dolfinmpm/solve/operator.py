@@ -26,6 +26,9 @@ __all__ = ["Operator", "Residual"]
 
 Array = npt.NDArray[np.float64]
 
+# Constant entries, as a share of the matrix, that are added anew to each tangent
+_FEW = 0.3
+
 
 @dataclass(frozen=True)
 class Residual:
@@ -363,7 +366,7 @@ class Operator:
         matrix.finish()
 
     def _begin(self, matrix: Matrix, entries: Mapping[tuple[int, int], Entries]) -> None:
-        """Set the constant part of the tangent. The first call keeps it for later calls."""
+        """Set the constant part of the tangent. Many entries of it are kept for later calls."""
         fields, lifts = self.here.unknowns.fields, self._lift.arrays
         if self._base is not None:
             matrix.data[:] = self._base[0]
@@ -375,6 +378,7 @@ class Operator:
         blocks = [*self._constant, *self.soft]
         for b in blocks:
             add_blocks(b, entries[b.row_field, b.column_field])
-        if blocks:
+        # a copy of the matrix takes more time and memory than the few entries of a ghost penalty
+        if sum(b.values.size for b in blocks) > _FEW * matrix.data.size:
             kept_lifts = [lift[field.nodes] for field, lift in zip(fields, lifts)]
             self._base = np.array(matrix.data), kept_lifts

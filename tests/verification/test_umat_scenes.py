@@ -56,7 +56,9 @@ def wet(law):
         permeability=1e-6, strain="jaumann", gravity=(0.0, -9.81), modulus=1.3 * E,
     )  # fmt: skip
     unknowns, held = [V.increment, Q.increment], bcs + mpm.fixed(Q, "bottom")
-    problem = mpm.Transient(F, unknowns, points, held, stabilisation=["ghost", "ghost"])
+    problem = mpm.Transient(
+        F, unknowns, points, held, stabilisation=["ghost", "ghost"], tolerance=1e-11
+    )
     problem.step(100.0)
     problem.step(200.0)
     return points

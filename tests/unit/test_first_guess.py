@@ -1,0 +1,128 @@
+"""First guess of the increments, and the tangents that Newton's method does without."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+from dolfinmpm.assembly import region
+from dolfinmpm.solve.initialguess import InitialGuess
+from dolfinmpm.solve.operator import Operator
+
+
+def block(**options):
+    """A soft block under its weight, which compacts by 1 % per step."""
+    ends = [(0.0, 0.0), (2.0, 2.0)]
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, ends, (8, 8), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1.1, 1.6)), 2, 100.0)
+    V, g = mpm.Space(grid, "gimp"), fem.Constant(grid, (0.0, 0.0))
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=1e4, nu=0.3), points, u, v)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
+    return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", **options), g
+
+
+def run(loads, forget=False):
+    """Iterations of steps with these loads, and the problem."""
+    problem, g = block()
+    for load in loads:
+        if forget:
+            problem.newton.guess = InitialGuess()
+        g.value[1] = -load
+        problem.step()
+    return [record.iterations for record in problem.history], problem
+
+
+def test_even_loads_need_fewer_iterations_from_the_last_increments():
+    loads = 0.5 * np.arange(1, 9)
+    guessed, problem = run(loads)
+    plain, same = run(loads, forget=True)
+    assert guessed[0] == plain[0]
+    assert sum(guessed[1:]) <= sum(plain[1:]) - 7
+    moved = np.abs(same.points["x"] - same.points["x0"]).max()
+    np.testing.assert_allclose(problem.points["x"], same.points["x"], rtol=0, atol=1e-8 * moved)
+    # the forces out of balance are measured as from zero increments
+    assert all(record.residuals[-1] <= problem.tolerance for record in problem.history)
+
+
+def test_a_guess_without_use_is_left_out_for_longer_and_longer():
+    loads = [1.0, 0.5, 1.0, 0.5, 1.0, 0.5, 1.0]
+    tried = []
+    on = InitialGuess.on
+
+    def counted(self, operator):
+        found = on(self, operator)
+        tried.append(found is not None)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(InitialGuess, "on", counted)
+        _, problem = run(loads)
+    # in the second step, after one step without, and after two more
+    assert tried == [False, True, True, True][: len(tried)]
+    assert len(tried) <= 4
+    _, same = run(loads, forget=True)
+    moved = np.abs(same.points["x"] - same.points["x0"]).max()
+    np.testing.assert_allclose(problem.points["x"], same.points["x"], rtol=0, atol=1e-8 * moved)
+    again = InitialGuess()
+    again.set_state(problem.newton.guess.state(), problem.points.partition)
+    np.testing.assert_equal(again.state(), problem.newton.guess.state())
+
+
+def test_the_last_iteration_has_a_former_tangent():
+    assembled = []
+    tangent = Operator.tangent
+
+    def counted(self, matrix):
+        assembled.append(1)
+        tangent(self, matrix)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Operator, "tangent", counted)
+        problem, g = block(tolerance=1e-7)
+        g.value[1] = -0.5
+        first = problem.step()
+        # one more, of a sample of the points, tells whether it is symmetric
+        assert len(assembled) <= first.iterations + 1
+        del assembled[:]
+        g.value[1] = -1.0
+        second = problem.step()
+        assert len(assembled) < second.iterations
+    assert second.residuals[-1] <= problem.tolerance
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.3])
+def test_a_sample_of_the_points_tells_whether_the_tangent_is_symmetric(skew):
+    ends = [(0.0, 0.0), (1.0, 1.0)]
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, ends, (40, 40), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 100.0)
+    V = mpm.Space(grid, "linear")
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=1e4, nu=0.3), points, u, v)
+    turned = 1e3 * ufl.as_matrix([[1.0, skew], [-skew, 1.0]])
+    F += ufl.inner(ufl.dot(turned, ufl.grad(u)), ufl.grad(v)) * points.dC
+    F -= ufl.inner(ufl.as_vector([0.0, -1.0]), v) * points.dx
+    counts = []
+    chunks = region.Region._chunks
+
+    def counted(self):
+        found = list(chunks(self))
+        if self.sampled:
+            counts.append(len(found))
+        return iter(found)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(region, "_CHUNK", 64)
+        patch.setattr(region.Region, "_chunks", counted)
+        problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+        problem.step()
+    # of 100
+    assert counts
+    assert max(counts) <= 16
+    assert problem.newton.linear.choice.tangent.symmetric == (skew == 0.0)
+    assert problem.history[-1].residuals[-1] <= problem.tolerance
