@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["LatticeFacet", "gauss_rule", "one_dimensional", "product", "splines"]
+__all__ = ["LatticeFacet", "gauss_rule", "one_dimensional", "product", "splines", "splines_between"]
 
 Array = npt.NDArray[np.float64]
 
@@ -44,17 +44,27 @@ gauss_rule = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array:
-    """Derivatives of the functions of a cell, as polynomials also outside it, shape (x, functions).
+    """Derivatives of the functions of a cell of a line, see `splines_between`."""
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    return splines_between(knots[cell + 1 : cell + 2 * degree + 1], x, order)
+
+
+def splines_between(knots: Array, x: Array, order: int) -> Array:
+    """Derivatives of the functions of a cell, as polynomials also outside it, shape (x, p + 1).
 
     First come recursions of Cox and de Boor for values, then recursions for derivatives (de Boor,
     A Practical Guide to Splines, 1978, ch. X).
+
+    Args:
+        knots: Knots around the cell (m), shape (2 p,); the cell is between the middle two.
+        x: Positions (m).
+        order: Order of the derivative.
     """
-    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
-    t, p = knots[cell : cell + 2 * degree + 2], degree
+    p = knots.size // 2
     values: Array = np.ones((x.size, 1))
     for k in range(1, p + 1):
         # functions p − k + 1 ... p of degree k − 1 begin at `start` and end at `end`
-        start, end = t[p - k + 1 : p + 1], t[p + 1 : p + k + 1]
+        start, end = knots[p - k : p], knots[p : p + k]
         share = values / (end - start)
         before = np.zeros((x.size, k + 1))
         after = np.zeros((x.size, k + 1))

@@ -48,6 +48,11 @@ class LeafCellBlock:
     moving: ClassVar[set[int]] = {ACTIVE_CELLS}
 
     def __init__(self, form: ufl.Form, space: Space):
+        if space.basis.degree > 1:
+            raise UnsupportedGridError(
+                "a form over active cells (points.dC) does not know splines on leaves: leave the "
+                'form, such as soft stiffness, out, or take basis="gimp"'
+            )
         if not only_over(form, "cell", ACTIVE_CELLS) or form.coefficients():
             raise UnsupportedGridError(
                 "a form over cells of a refined space must be over active cells (points.dC) alone, "

@@ -1,7 +1,7 @@
 """Terms over ghost facets between leaves: one element tensor for all facets of a class.
 
-A facet is a side of the smaller leaf. Both leaves have their own linear functions on it; hanging
-nodes join them afterwards. The size of the cells is that of the smaller leaf.
+A facet is a side of the smaller leaf. Both leaves have their own functions on it; hanging nodes
+join them afterwards. The size of the cells is that of the smaller leaf.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from dolfinx import fem
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm.assembly.facetpenalties import INTERVALS, Pair, by_ratio
 from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
-from dolfinmpm.assembly.latticefacets import gauss_rule, product
-from dolfinmpm.assembly.leafpairs import leaf_pair, linear_functions
+from dolfinmpm.assembly.latticefacets import gauss_rule, product, splines_between
+from dolfinmpm.assembly.leafpairs import leaf_pair
 from dolfinmpm.basis import LeafBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS
@@ -36,25 +36,27 @@ class _LeafFacet:
     """A facet between two leaves.
 
     Attributes:
-        boxes: Lower and upper corners (m) of the first leaf, "+", and of the second one.
+        knots: Knots (m) around the first leaf, "+", and around the second one, shape (2, gdim,
+            2 degree).
         direction: Direction from the lower to the upper leaf.
         swapped: Whether the first leaf is the upper one.
     """
 
-    boxes: tuple[tuple[Array, Array], tuple[Array, Array]]
+    knots: Array
     direction: int
     swapped: bool
 
     @property
     def lines(self) -> list[Array]:
         """Ends of the first leaf in each direction (m)."""
-        low, high = self.boxes[0]
-        return [np.array(ends) for ends in zip(low, high)]
+        p = self.knots.shape[2] // 2
+        return [around[p - 1 : p + 1] for around in self.knots[0]]
 
     def sizes(self, side: str) -> tuple[float, ...]:
         """Lengths of the edges of a leaf (m); those of the smaller one for different sizes."""
-        edges = [high - low for low, high in self.boxes]
-        along = np.arange(edges[0].size) != self.direction
+        p = self.knots.shape[2] // 2
+        edges = self.knots[..., p] - self.knots[..., p - 1]
+        along = np.arange(edges.shape[1]) != self.direction
         same = np.allclose(edges[0][along], edges[1][along], rtol=1e-9)
         return tuple(float(edge) for edge in edges[int(same and side == "-")])
 
@@ -63,7 +65,7 @@ class _LeafFacetTensors(FacetTensors):
     """Element tensors between the functions of two leaves: first those of the first leaf."""
 
     def _zeros(self, place, pairs: int) -> Array:
-        number = 2 * 2 ** len(place.lines)
+        number = 2 * (self._degree + 1) ** len(place.lines)
         return np.zeros((number, number, pairs))
 
     def _add(self, total: Array, place, first, second, gauss, block: Array) -> None:
@@ -74,10 +76,10 @@ class _LeafFacetTensors(FacetTensors):
             if d == place.direction:
                 x, w = np.array([low if place.swapped else high]), np.ones(1)
             else:
-                points, weights = gauss_rule(gauss or 2)
+                points, weights = gauss_rule(gauss or self._degree + 1)
                 x, w = low + 0.5 * (high - low) * (points + 1), 0.5 * (high - low) * weights
             A, B = (
-                linear_functions(place.boxes["+-".index(side)], d, x, powers[d])
+                splines_between(place.knots["+-".index(side), d], x, powers[d])
                 for side, powers in ((side_a, a), (side_b, b))
             )
             lines.append((w[:, None] * A).T @ B)
@@ -110,14 +112,15 @@ class _LeafFacets:
         """The facets with these rows (cell, local facet, cell, local facet)."""
         low, high = basis.cell_corners()
         first, second = facets[:, 0], facets[:, 2]
-        sizes = np.hstack([high[first] - low[first], high[second] - low[second]])
         scale = float((high - low).max(initial=0.0)) or 1.0
-        shape = np.round(np.hstack([sizes, low[first] - low[second]]) / scale * 1e9)
+        knots = np.stack([basis.knots[first], basis.knots[second]], axis=1)
+        around = (knots - low[first][:, None, :, None]).reshape(len(facets), knots[:1].size)
+        shape = np.round(around / scale * 1e9)
         codes = np.hstack([facets[:, 1:2], shape]).astype(np.int64)
         codes, example, kind = np.unique(codes, axis=0, return_index=True, return_inverse=True)
         places = [
-            _LeafFacet(((low[a], high[a]), (low[b], high[b])), int(side // 2), bool(side % 2 == 0))
-            for a, side, b, _ in facets[example]
+            _LeafFacet(knots[f], int(facets[f, 1] // 2), bool(facets[f, 1] % 2 == 0))
+            for f in example
         ]
         nodes = np.hstack([basis.corner_nodes[first], basis.corner_nodes[second]]).astype(np.int64)
         pairs, number = nodes[:, :, None] * basis.nodes.size + nodes[:, None, :], basis.nodes.size
@@ -148,7 +151,7 @@ class LeafFacetBlock:
     def __init__(self, form: ufl.Form, space: Space):
         check_on_leaves(form, space)
         self._space = space
-        self._tensor_of = _LeafFacetTensors(form, 1, space.components)
+        self._tensor_of = _LeafFacetTensors(form, space.basis.degree, space.components)
         self.constants: list[fem.Constant] = form.constants()
         self.moduli = facet_moduli(form)
         self._tensors: dict[tuple[float, bytes], Array] = {}
@@ -239,7 +242,7 @@ class LeafFacetBlock:
         known = np.array([self._penalties[key][k] for key in facets.keys])
 
         def pair_of(key: tuple[float, bytes], place: _LeafFacet) -> Callable[[], Pair]:
-            return lambda: leaf_pair(place.boxes, place.direction, self._tensors[key][1 + k])
+            return lambda: leaf_pair(place.knots, place.direction, self._tensors[key][1 + k])
 
         pairs = [pair_of(*both) for both in zip(facets.keys, facets.places)]
         ratios = np.divide(G, M, out=np.zeros_like(M), where=M > 0)
@@ -267,7 +270,7 @@ class LeafFacetBlock:
     def set_state(self, state: dict[str, npt.NDArray]) -> None:
         """Keep the tensors that `state` returned, and no others."""
         self._values, self._tensors, self._penalties = state.get("constants"), {}, {}
-        m, start = 2 * 2**self._space.grid.geometry.dim, 0
+        m, start = 2 * (self._space.basis.degree + 1) ** self._space.grid.geometry.dim, 0
         of_all = (state.get(name, ()) for name in ("scales", "codes", "pairs"))
         for scale, code, pairs in zip(*of_all):
             shape = 1 + len(self.moduli), m, m, int(pairs)

@@ -20,6 +20,7 @@ from dolfinmpm._platform.compat import make_index_map
 
 __all__ = [
     "averaged_spline_weights",
+    "extended",
     "extension_weights",
     "functions_of",
     "greville",
@@ -203,29 +204,47 @@ def middles(line: Array, degree: int) -> Array:
     return np.asarray(windows.mean(axis=1), np.float64)
 
 
-def _moments(line: Array, degree: int, function: int, origin: float) -> Array:
-    """Coefficients of one function in the expansions of 1, (x − origin), ..., (x − origin)^degree.
+def _blossoms(knots: Array) -> Array:
+    """Coefficients of functions in the expansions of 1, t, ..., t^p, shape (..., p + 1).
 
-    The coefficient for power k is the mean of all products of k inner knots of the function
+    The coefficient for the power k is the mean of all products of k inner knots of the function
     (blossoming, Ramshaw 1989).
+
+    Args:
+        knots: Inner knots of the functions, shape (..., p).
     """
-    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
-    inner = knots[function + 1 : function + degree + 1] - origin
+    p = knots.shape[-1]
     # elementary symmetric sums are the coefficients of Π (1 + t z)
-    sums = np.ones(1)
-    for t in inner:
-        sums = np.convolve(sums, [1.0, t])
-    binomials = np.array([np.prod([(degree - j) / (j + 1) for j in range(k)])
-                          for k in range(degree + 1)])  # fmt: skip
-    return sums / binomials
+    sums = np.zeros((*knots.shape[:-1], p + 1))
+    sums[..., 0] = 1.0
+    for k in range(p):
+        sums[..., 1:] += knots[..., k, None] * sums[..., :-1]
+    return np.asarray(sums / [math.comb(p, k) for k in range(p + 1)])
+
+
+def extended(knots: Array, inner: Array) -> Array:
+    """Weights that extend polynomials of cells to functions elsewhere, shape (n, p + 1).
+
+    The coefficient of the other function is a weighted sum of the coefficients of the cell's own
+    functions. The weights reproduce polynomials of the degree for any knots.
+
+    Args:
+        knots: Knots around each cell, shape (n, 2 p); the cell is between the middle two.
+        inner: Inner knots of each other function, shape (n, p).
+    """
+    p = inner.shape[1]
+    low, high = knots[:, p - 1, None], knots[:, p, None]
+    own, other = ((t - 0.5 * (low + high)) / (high - low) for t in (knots, inner))
+    windows = np.stack([own[:, m : m + p] for m in range(p + 1)], axis=1)
+    return np.asarray(
+        np.linalg.solve(_blossoms(windows).transpose(0, 2, 1), _blossoms(other)[..., None])[..., 0]
+    )
 
 
 def extension_weights(line: Array, degree: int, cell: int, function: int) -> Array:
-    """Weights that extend the polynomial of a cell to a function outside the cell.
+    """Weights of a cell's functions for a function outside of it, see `extended`.
 
-    The coefficient of the outer function is a weighted sum of the coefficients of the cell's own
-    functions. The weights reproduce polynomials of the degree for any knots. With equal cells they
-    are Höllig's Π_{μ≠i} (j − l − μ)/(i − l − μ).
+    With equal cells they are Höllig's Π_{μ≠i} (j − l − μ)/(i − l − μ).
 
     Args:
         line: Coordinates of the grid lines (m).
@@ -236,10 +255,9 @@ def extension_weights(line: Array, degree: int, cell: int, function: int) -> Arr
     Returns:
         Weights of the functions cell ... cell + degree, shape (degree + 1,).
     """
-    h, origin = line[cell + 1] - line[cell], 0.5 * (line[cell] + line[cell + 1])
-    scaled = (line - origin) / h
-    own = np.array([_moments(scaled, degree, cell + i, 0.0) for i in range(degree + 1)])
-    return np.linalg.solve(own.T, _moments(scaled, degree, function, 0.0))
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    around = knots[cell + 1 : cell + 2 * degree + 1]
+    return extended(around[None], knots[None, function + 1 : function + degree + 1])[0]
 
 
 def functions_of(

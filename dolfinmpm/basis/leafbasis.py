@@ -1,7 +1,11 @@
-"""The basis on leaves: linear functions on cells of several sizes, at points or averaged (GIMP)."""
+"""The basis on leaves: linear functions or splines on cells of several sizes.
+
+Functions are evaluated at points or averaged over their domains, as in GIMP.
+"""
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,15 +16,17 @@ from mpi4py import MPI
 from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm._platform.errors import PointsOutsideGridError
 from dolfinmpm.basis.latticebasis import LatticeBasis
+from dolfinmpm.basis.leafsplines import LeafSplines, knots_around
+from dolfinmpm.basis.leafsplinestencils import fill_spline_stencils
 from dolfinmpm.basis.leafstencils import (
     fill_stencils,
     group_nodes,
     list_hashes,
     starts_of_lists,
 )
-from dolfinmpm.basis.stencils import Placement, Stencils, running_sum
+from dolfinmpm.basis.stencils import Placement, Stencils, running_sum, stencil_matrix
 from dolfinmpm.grid.halo import Numbering
-from dolfinmpm.grid.lattice import once_per_grid
+from dolfinmpm.grid.lattice import Lattice, once_per_grid
 from dolfinmpm.grid.leafnodes import LeafNodes
 from dolfinmpm.grid.leaves import Leaves
 from dolfinmpm.grid.linecells import SNAP
@@ -49,10 +55,11 @@ def _owners_on_grid(grid: Mesh) -> Ints:
 
 
 class LeafBasis:
-    """Linear functions on leaves, evaluated at points or averaged over their domains.
+    """Linear functions or splines on leaves, evaluated at points or averaged over their domains.
 
     Hanging nodes are nodes of the basis; `hanging` gives their values. "Cells" are leaves. All
-    numberings belong to one set of leaves. With another set there is another basis.
+    numberings belong to one set of leaves. With another set there is another basis. For splines
+    the word "node" means a function.
 
     Args:
         base: Basis of the same functions on the cells of the grid.
@@ -62,14 +69,18 @@ class LeafBasis:
             computes it.
 
     Attributes:
-        corner_nodes: Nodes of the cells, the last direction fastest, shape (cells, 2^gdim).
-        fine: Numbers of the lines of the nodes on the finest level, shape (nodes, gdim).
+        knots: Knots around the cells (m), shape (cells, gdim, 2 degree); the cell is between the
+            middle two, which are its corners for linear functions.
+        corner_nodes: Nodes of the cells, the last direction fastest, shape (cells,
+            (degree + 1)^gdim).
+        fine: Numbers of the lines of the nodes on the finest level, shape (nodes, gdim); empty for
+            splines.
+        inner_knots: Inner knots of the functions (m), shape (nodes, gdim, degree): for linear
+            functions the positions of the nodes.
         hanging: Matrix from the nodes that do not hang to all nodes, shape (nodes, nodes).
         leaf: Number of each cell in the leaves of all ranks, shape (cells,).
     """
 
-    degree = 1
-    continuity = 0
     coarsen = 1
     grid_nodes = None
     grid_cells = None
@@ -77,17 +88,20 @@ class LeafBasis:
     def __init__(
         self, base: LatticeBasis, leaves: Leaves, layers: int, partition: Partition | None = None
     ):
-        self.grid, self.lattice, self.averaged = base.grid, base.lattice, base.averaged
-        self.leaves, self.partition, self.layers = leaves, partition, layers
-        every = LeafNodes.of(leaves)
-        known = self._known(every)
-        self._number(every, *known)
-        self._box = leaves.tree.corners(leaves.node[self.leaf])
-        self._node_x = np.zeros((self.nodes.size, 3))
-        self._node_x[:, : self.fine.shape[1]] = leaves.tree.coordinates(self.fine)
+        self._base, self.leaves, self.partition, self.layers = base, leaves, partition, layers
+        every = LeafNodes.of(leaves) if self.degree == 1 else LeafSplines.of(leaves, self.degree)
+        chosen = self._number(every, *self._known())
+        tree, cells = leaves.tree, leaves.node[self.leaf]
+        self.knots = knots_around(tree, self.degree, tree.low[cells], tree.size[cells])
+        self.inner_knots = every.inner_knots(tree)[chosen]
+        self._node_x = np.zeros((chosen.size, 3))
+        self._node_x[:, : self.inner_knots.shape[1]] = self.inner_knots.mean(axis=2)
         self._node_x.flags.writeable = False
+        self.fine: Ints = np.empty((0, self.inner_knots.shape[1]), np.int32)
+        if isinstance(every, LeafNodes):
+            self.fine = every.fine[chosen]
 
-    def _known(self, every: LeafNodes) -> tuple[Ints, npt.NDArray[np.bool_]]:
+    def _known(self) -> tuple[Ints, npt.NDArray[np.bool_]]:
         """Rank that owns each leaf, and mask of the leaves that this rank knows."""
         comm, shape = self.grid.comm, self.lattice.shape
         root = self.leaves.low >> self.leaves.tree.levels
@@ -108,29 +122,61 @@ class LeafBasis:
         at = tuple(root.T)
         return owner[at], mask[at]
 
-    def _number(self, every: LeafNodes, owner: Ints, known: npt.NDArray[np.bool_]) -> None:
-        """Number the leaves and nodes that this rank knows; own ones come first."""
+    def _number(
+        self, every: LeafNodes | LeafSplines, owner: Ints, known: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.intp]:
+        """Number the leaves and nodes that this rank knows; returns the nodes, own ones first."""
         comm = self.grid.comm
         own_node = owner[every.first]
-        flags = np.zeros(len(every.fine), bool)
+        flags = np.zeros(every.hanging.size, bool)
         flags[every.corners[known].ravel()] = True
         # masters of known nodes are known
         masters = every.matrix[np.flatnonzero(flags)].indices
         flags[masters] = True
         self.cells, self.leaf = _numbering(comm, owner, known)
         self.nodes, chosen = _numbering(comm, own_node, flags)
-        place = np.full(len(every.fine), -1, np.int32)
+        place = np.full(every.hanging.size, -1, np.int32)
         place[chosen] = np.arange(chosen.size, dtype=np.int32)
         self.corner_nodes = place[every.corners[self.leaf]]
-        self.fine = every.fine[chosen]
         self.hanging: sparse.csr_matrix = every.matrix[chosen][:, chosen].tocsr()
         self.hanging.sort_indices()
         self._cell_of = np.full(len(self.leaves.node), -1, np.int32)
         self._cell_of[self.leaf] = np.arange(self.leaf.size, dtype=np.int32)
+        return chosen
+
+    @property
+    def grid(self) -> Mesh:
+        """Background grid."""
+        return self._base.grid
+
+    @property
+    def lattice(self) -> Lattice:
+        """The grid of the roots."""
+        return self.leaves.tree.lattice
+
+    @property
+    def averaged(self) -> bool:
+        """Whether functions are averaged over the points' domains."""
+        return self._base.averaged
+
+    @property
+    def degree(self) -> int:
+        """Degree of the functions."""
+        return self._base.degree
+
+    @property
+    def continuity(self) -> int:
+        """Highest derivative that is continuous across facets."""
+        return self._base.continuity
 
     def node_coordinates(self) -> Array:
-        """Positions of the nodes (m), shape (nodes, 3)."""
+        """Positions (m) of the nodes, or Greville points of the splines, shape (nodes, 3)."""
         return self._node_x
+
+    @functools.cached_property
+    def _box(self) -> tuple[Array, Array]:
+        low, high = (self.knots[..., self.degree - 1 + k] for k in (0, 1))
+        return np.ascontiguousarray(low), np.ascontiguousarray(high)
 
     def cell_corners(self) -> tuple[Array, Array]:
         """Lower and upper corners of the cells (m), both of shape (cells, gdim)."""
@@ -164,6 +210,25 @@ class LeafBasis:
         """Local cells at positions x (m), shape (n, gdim); -1 where this rank knows no leaf."""
         _, leaf = self.leaves.overlapped(x, np.zeros_like(x))
         return np.where(leaf >= 0, self._cell_of[leaf], -1).astype(np.int32)
+
+    def values_at(self, x: Array) -> tuple[npt.NDArray[np.intp], sparse.csr_matrix]:
+        """Values of the functions at positions in leaves, upper sides included.
+
+        Args:
+            x: Positions (m), shape (n, gdim).
+
+        Returns:
+            Rows of the positions that are in leaves, and a matrix of the shape (rows, nodes).
+        """
+        cells = self.cells_at(x)
+        # a position at the upper sides of the leaves is in none of them
+        least = 1e-6 * self.cell_sizes().min(initial=1.0)
+        for corner in np.ndindex(*(2,) * x.shape[1]):
+            lost = np.flatnonzero(cells < 0)
+            cells[lost] = self.cells_at(x[lost] - least * np.array(corner))
+        rows = np.flatnonzero(cells >= 0)
+        s = self.in_cells(x[rows], cells[rows])
+        return rows, stencil_matrix(s, s.N, (rows.size, self.nodes.size))
 
     def cells_towards(self, at: Array, x: Array, half: Array) -> Ints:
         """Cells of positions that are in or beyond domains: the outermost that a domain overlaps.
@@ -252,10 +317,12 @@ class LeafBasis:
         each = np.diff(node_start).astype(np.int64)
         value_start = running_sum(each * np.diff(groups), np.int64)
         N, dN = np.empty(value_start[-1]), np.empty((value_start[-1], x.shape[1]))
-        fill_stencils(
-            np.ascontiguousarray(x), np.ascontiguousarray(half), axisymmetric, *self._box,
-            *graph, node_start, nodes, value_start, N, dN,
-        )  # fmt: skip
+        places = np.ascontiguousarray(x), np.ascontiguousarray(half), axisymmetric
+        where = *graph, node_start, nodes, value_start, N, dN
+        if self.degree == 1:
+            fill_stencils(*places, *self._box, *where)
+        else:
+            fill_spline_stencils(*places, self.knots, *where)
         head = order[groups[:-1]]
         cell_start = running_sum(np.diff(begin)[head], np.int32)
         at = np.arange(cell_start[-1]) + np.repeat(begin[:-1][head] - cell_start[:-1],

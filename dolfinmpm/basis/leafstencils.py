@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["fill_stencils", "group_nodes", "list_hashes", "starts_of_lists"]
+__all__ = ["fill_stencils", "group_nodes", "list_hashes", "place", "starts_of_lists"]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -69,7 +69,7 @@ def group_nodes(order, groups, begin, leaves, corners, node_start, nodes):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _place(nodes, first, end, node):
+def place(nodes, first, end, node):
     """Position of a node in an increasing list."""
     while end - first > 1:
         middle = (first + end) // 2
@@ -132,7 +132,7 @@ def fill_stencils(
                     value = part
                     for k in range(d):
                         value *= S[k, (a >> (d - 1 - k)) & 1]
-                    node = _place(nodes, node_start[g], node_start[g + 1], corners[cell, a])
+                    node = place(nodes, node_start[g], node_start[g + 1], corners[cell, a])
                     node += to - node_start[g]
                     N[node] += value
                     for k in range(d):

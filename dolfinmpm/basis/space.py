@@ -153,11 +153,18 @@ def extraction(space: Space, basis: Basis | LeafBasis) -> sparse.csr_matrix | No
 
 
 def _from_leaves(space: Space, basis: LeafBasis) -> sparse.csr_matrix:
-    """Values at the nodes of the grid: those of the same nodes of leaves, 0 without a leaf."""
+    """Values at the nodes of the grid's Lagrange functions, 0 without a leaf."""
     from scipy import sparse
 
-    base, levels = space.basis, basis.leaves.tree.levels
+    base = space.basis
     assert isinstance(base, LatticeBasis)
+    if basis.degree > 1:
+        x = space.function_space.tabulate_dof_coordinates()[:, : space.grid.geometry.dim]
+        rows, N = basis.values_at(np.ascontiguousarray(x))
+        whole = sparse.csr_matrix((np.ones(rows.size), (rows, np.arange(rows.size))),
+                                  shape=(len(x), rows.size))  # fmt: skip
+        return sparse.csr_matrix(whole @ N)
+    levels = basis.leaves.tree.levels
     shape = tuple((np.array(basis.lattice.shape, np.int64) << levels) + 1)
     keys = np.ravel_multi_index(tuple(basis.fine.T), shape)
     wanted = np.ravel_multi_index(tuple(base.halo.node_ijk.T.astype(np.int64) << levels), shape)
@@ -247,8 +254,8 @@ class Space:
             a function of positions, shape (gdim, n), that returns n sizes; `near(body, size)`;
             `where_it_yields(points, size)`; or a list of these, of which the least size counts.
             The grid itself stays. Its cells are the roots of trees, whose leaves are the cells
-            of the field. Needs a rectangular grid and "linear" or "gimp". Points should follow:
-            see `Problem.adapt`.
+            of the field. Splines are then truncated hierarchical B-splines. Needs a rectangular
+            grid. Points should follow: see `Problem.adapt`.
         levels: Largest number of times that a cell of the grid is halved, 0 to 10. With 0 the
             cells are those of the grid.
         per_cell: Points per leaf and direction that points follow: they split where leaves are
@@ -315,7 +322,7 @@ class Space:
         self.per_cell = None if per_cell is None else whole("per_cell", per_cell, 1)
         self.refinement = None
         if refine is not None or levels is not None:
-            self.refinement = self._refined(basis, refine, levels)
+            self.refinement = self._refined(refine, levels)
         on_grid = _basis_of(grid, basis, averaged and basis != "linear", self.coarsen)
         self.basis: Basis = on_grid.basis
         element = (
@@ -331,17 +338,16 @@ class Space:
         if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")
 
-    def _refined(self, basis: str, refine: Any, levels: Any) -> Refinement | None:
+    def _refined(self, refine: Any, levels: Any) -> Refinement | None:
         """The refinement, checked."""
         if refine is None or levels is None:
             raise ParameterError(
                 f"refine = {shown(refine)} and levels = {shown(levels)} go together: the sizes "
                 "wanted (m), and how often a cell of the grid may be halved"
             )
-        if _DEGREES[basis] > 1 or self.coarsen > 1 or self.configuration == "total":
+        if self.coarsen > 1 or self.configuration == "total":
             raise ParameterError(
-                f'refine needs basis="linear" or "gimp", coarsen=1 and configuration="updated", '
-                f"got basis={basis!r}, coarsen={self.coarsen}, "
+                f'refine needs coarsen=1 and configuration="updated", got coarsen={self.coarsen}, '
                 f"configuration={self.configuration!r}; leave refine and levels out, or take these"
             )
         if whole("levels", levels, 0) == 0:

@@ -9,10 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = [
     "Placement",
@@ -24,6 +28,7 @@ __all__ = [
     "pushed_forward",
     "selected",
     "spread",
+    "stencil_matrix",
 ]
 
 
@@ -334,3 +339,26 @@ def pushed_forward(s: Stencils, F: npt.NDArray[np.float64]) -> Stencils:
     inverse = np.linalg.inv(F)
     _push_forward(s.order, s.groups, s.node_start, s.value_start, s.dN, inverse, dN)
     return replace(s, dN=dN)
+
+
+def stencil_matrix(
+    s: Stencils, values: npt.NDArray[np.float64], shape: tuple[int, int]
+) -> sparse.csr_matrix:
+    """Stencils of material points as a matrix.
+
+    Args:
+        s: The stencils.
+        values: N, or one direction of ∇N.
+        shape: Number of points and of nodes.
+    """
+    from scipy import sparse
+
+    lengths = np.diff(s.node_start).astype(np.int64)
+    number = np.diff(s.groups).astype(np.int64)
+    group = np.repeat(np.arange(lengths.size), number)
+    length = lengths[group]
+    rows = np.repeat(s.order, length)
+    first = np.repeat(s.node_start[:-1][group].astype(np.int64), length)
+    begin = np.cumsum(length) - length
+    at = first + np.arange(rows.size) - np.repeat(begin, length)
+    return sparse.csr_matrix((values, (rows, s.nodes[at])), shape=shape)

@@ -11,8 +11,8 @@ import scipy
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis, LeafBasis
-from dolfinmpm.basis.stencils import Stencils
-from dolfinmpm.contact.contactstencils import ContactStencils, stencil_matrix
+from dolfinmpm.basis.stencils import Stencils, stencil_matrix
+from dolfinmpm.contact.contactstencils import ContactStencils
 from dolfinmpm.contact.protocols import TwoBodyContactTerm
 from dolfinmpm.cut.activation import ActiveDomain, ActiveField
 from dolfinmpm.cut.unknowns import Unknowns

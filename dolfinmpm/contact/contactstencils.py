@@ -14,9 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinmpm.basis.stencils import Stencils
-
-__all__ = ["ContactStencils", "StencilRows", "growth_by_gradient", "stencil_matrix"]
+__all__ = ["ContactStencils", "StencilRows", "growth_by_gradient"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int32]
@@ -78,25 +76,6 @@ class ContactStencils:
     def rows(self) -> StencilRows:
         """The stencils as rows of a sparse matrix, with the field's numbers of the nodes."""
         return self.matrix.indptr, self.nodes[self.matrix.indices], self.matrix.data
-
-
-def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
-    """Stencils of material points as a matrix.
-
-    Args:
-        s: The stencils.
-        values: N, or one direction of ∇N.
-        shape: Number of points and of nodes.
-    """
-    lengths = np.diff(s.node_start).astype(np.int64)
-    number = np.diff(s.groups).astype(np.int64)
-    group = np.repeat(np.arange(lengths.size), number)
-    length = lengths[group]
-    rows = np.repeat(s.order, length)
-    first = np.repeat(s.node_start[:-1][group].astype(np.int64), length)
-    begin = np.cumsum(length) - length
-    at = first + np.arange(rows.size) - np.repeat(begin, length)
-    return scipy.sparse.csr_matrix((values, (rows, s.nodes[at])), shape=shape)
 
 
 def growth_by_gradient(F: Array, l0: Array, growth: str) -> Array:

@@ -31,7 +31,7 @@ import scipy
 
 from dolfinmpm.basis import LatticeBasis, LeafBasis
 from dolfinmpm.basis.singlecellvalues import values_in_cells
-from dolfinmpm.basis.stencils import Stencils, selected
+from dolfinmpm.basis.stencils import Stencils, selected, stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.points import MaterialPoints
@@ -39,7 +39,6 @@ from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.contactstencils import (
     ContactStencils,
     growth_by_gradient,
-    stencil_matrix,
 )
 from dolfinmpm.cut.activation import ActiveField, Basis
 

@@ -18,10 +18,10 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.term import ActiveTerm, Term, as_form
+from dolfinmpm.basis.stencils import stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.contactstencils import stencil_matrix
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 

@@ -14,6 +14,7 @@ negative and sum to 1 at a point. Below, "cell" means a lower spline too.
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass
 
 import numba
@@ -26,6 +27,7 @@ from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Ste
 from dolfinmpm.basis.space import lattice_basis
 from dolfinmpm.basis.stencils import add_weighted
 from dolfinmpm.cut.fractions import domain_shares
+from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 
@@ -96,14 +98,26 @@ def sharing_stencils(where: Placement, stencils: Stencils, basis: Basis) -> Sten
     """
     if not _over_splines(basis):
         return stencils
-    return _lower(basis).stencils(where)
+    lower = _lower(basis)
+    found = lower.stencils(where)
+    if isinstance(lower, LeafBasis):
+        return Prolongation(lower.hanging).stencils(found)
+    return found
 
 
-def _lower(basis: Basis) -> LatticeBasis:
+# lower splines on leaves, by the basis of the field
+_ON_LEAVES: weakref.WeakKeyDictionary[LeafBasis, LeafBasis] = weakref.WeakKeyDictionary()
+
+
+def _lower(basis: Basis) -> LatticeBasis | LeafBasis:
     """Splines one degree lower, with the same overlap of ranks. Collective."""
-    assert isinstance(basis, LatticeBasis)
+    assert isinstance(basis, LatticeBasis | LeafBasis)
     lower = _lower_splines(basis.grid, basis.degree - 1, basis.averaged, basis.coarsen)
-    return lower.grown(basis.halo.layers, basis.partition)
+    if isinstance(basis, LatticeBasis):
+        return lower.grown(basis.halo.layers, basis.partition)
+    if basis not in _ON_LEAVES:
+        _ON_LEAVES[basis] = LeafBasis(lower, basis.leaves, basis.layers, basis.partition)
+    return _ON_LEAVES[basis]
 
 
 def shares_of(where: Placement, stencils: Stencils, basis: Basis) -> Shares:
@@ -133,6 +147,7 @@ def numbering(basis: LatticeBasis) -> tuple[Numbering, npt.NDArray[np.int32]]:
     if not _over_splines(basis):
         return basis.cells, basis.halo.cell_ijk
     lower = _lower(basis)
+    assert isinstance(lower, LatticeBasis)
     return lower.nodes, lower.halo.node_ijk
 
 

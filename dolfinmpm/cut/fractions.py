@@ -9,6 +9,7 @@ from dolfinx.la import InsertMode
 
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.bspline import integrals
+from dolfinmpm.basis.leafsplinestencils import leaf_integrals
 from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.grid.lattice import cell_volumes
 
@@ -148,11 +149,14 @@ def fill_fractions(
 
 def _integrals_on_leaves(basis: LeafBasis) -> Array:
     """Integral of each function over the leaves (m^d), shape (nodes,). Collective."""
-    low, high = basis.cell_corners()
+    own, (gdim, width) = basis.cells.owned, basis.knots.shape[1:]
+    lines = np.empty((own, gdim, width // 2 + 1))
+    leaf_integrals(basis.knots[:own], lines)
+    each = np.ones((own, 1))
+    for d in range(gdim):
+        each = (each[:, :, None] * lines[:, d, None]).reshape(own, -1)
     shared = basis.nodes.vector()
-    own, each = basis.cells.owned, basis.corner_nodes.shape[1]
-    volumes = np.repeat(np.prod(high - low, axis=1)[:own] / each, each)
-    np.add.at(shared.array, basis.corner_nodes[:own].ravel(), volumes)
+    np.add.at(shared.array, basis.corner_nodes[:own].ravel(), each.ravel())
     if basis.nodes.comm.size > 1:
         shared.scatter_reverse(InsertMode.add)
         shared.scatter_forward()
@@ -161,6 +165,9 @@ def _integrals_on_leaves(basis: LeafBasis) -> Array:
 
 def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | LeafBasis) -> Array:
     """Share of each function's integral in the body, shape (nodes,). Collective.
+
+    A function on leaves that does not hang has a part in each hanging function that follows it. A
+    hanging function has the least share of those that it follows.
 
     Args:
         where: Positions, half-lengths and volumes of the points.
@@ -176,7 +183,17 @@ def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | L
         shared.scatter_reverse(InsertMode.add)
         shared.scatter_forward()
     if isinstance(basis, LeafBasis):
-        return shared.array / _integrals_on_leaves(basis)
+        H, owned = basis.hanging, basis.hanging[: basis.nodes.owned]
+        both = basis.nodes.vector(2)
+        sums = both.array.reshape(-1, 2)
+        own = np.column_stack([shared.array, _integrals_on_leaves(basis)])[: basis.nodes.owned]
+        sums[:] = owned.T @ own
+        if basis.nodes.comm.size > 1:
+            both.scatter_reverse(InsertMode.add)
+            both.scatter_forward()
+        parts, wholes = sums.T
+        shares = np.divide(parts, wholes, out=np.zeros(len(sums)), where=~basis.hangs)
+        return np.asarray(np.minimum.reduceat(shares[H.indices], H.indptr[:-1]))
     whole = np.ones(basis.nodes.size)
     for d, line in enumerate(basis.lattice.lines):
         whole *= integrals(line, basis.degree)[basis.halo.node_ijk[:, d]]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.basis import LeafBasis
+from dolfinmpm.basis.bspline import extended
 
 __all__ = ["leaf_constraints"]
 
@@ -19,7 +21,7 @@ _CANDIDATES, _FARTHEST = 64, 5.0
 
 
 def leaf_constraints(
-    basis: LeafBasis, nodes: npt.NDArray[np.int32], filled: Array, threshold: float, extended: bool
+    basis: LeafBasis, nodes: npt.NDArray[np.int32], filled: Array, threshold: float, every: bool
 ) -> Iterator[tuple[int, npt.NDArray[np.int32], Array]]:
     """Nodes with too little support, with the nodes of their roots and the weights.
 
@@ -30,30 +32,35 @@ def leaf_constraints(
     Args:
         basis: The basis.
         nodes: Active nodes known on this rank.
-        filled: Fill fraction of every local leaf, shape (cells,).
-        threshold: Fraction from which a leaf is well-filled.
-        extended: Whether every leaf of supported nodes may be a root, not only a well-filled one.
+        filled: Fill fraction of every local leaf, shape (cells,); for splines the share of every
+            function's integral in the body, shape (nodes,).
+        threshold: Fraction from which a leaf is well-filled; for splines see `constraint_matrix`.
+        every: Whether every leaf of supported nodes may be a root, not only a well-filled one.
     """
-    good = filled >= threshold - 1e-9
-    inner: npt.NDArray[np.bool_] = np.zeros(basis.nodes.size, bool)
-    inner[basis.corner_nodes[good].ravel()] = True
-    # the nodes that a supported hanging node follows have its support
-    inner |= np.asarray(basis.hanging.T @ inner.astype(float) > 0)
-    if extended:
+    p = basis.degree
+    if p == 1:
+        good = filled >= threshold - 1e-9
+        inner: npt.NDArray[np.bool_] = np.zeros(basis.nodes.size, bool)
+        inner[basis.corner_nodes[good].ravel()] = True
+        # the nodes that a supported hanging node follows have its support
+        inner |= np.asarray(basis.hanging.T @ inner.astype(float) > 0)
+    else:
+        inner = filled >= threshold ** (p + 1) / math.factorial(p + 1) * (1 - 1e-9)
+    if every or p > 1:
         good = np.asarray(inner[basis.corner_nodes].all(axis=1))
     outer = nodes[~inner[nodes] & ~basis.hangs[nodes]]
     roots: Rows = np.flatnonzero(good)
     if not outer.size or not roots.size:
         return
     roots = roots[np.argsort(basis.leaf[roots], kind="stable")]
-    for a, root in zip(outer, _nearest(basis, outer, roots)):
-        if root >= 0:
-            low, high = (corner[root] for corner in basis.cell_corners())
-            t = (basis.node_coordinates()[a, : low.size] - low) / (high - low)
-            weights: Array = np.ones(1)
-            for share in t:
-                weights = np.asarray(np.multiply.outer(weights, [1.0 - share, share]))
-            yield int(a), basis.corner_nodes[root], weights.ravel()
+    nearest = _nearest(basis, outer, roots)
+    outer, nearest = outer[nearest >= 0], nearest[nearest >= 0]
+    weights: Array = np.ones((outer.size, 1))
+    for d in range(basis.knots.shape[1]):
+        along = extended(basis.knots[nearest, d], basis.inner_knots[outer, d])
+        weights = (weights[:, :, None] * along[:, None]).reshape(outer.size, -1)
+    for k, (a, root) in enumerate(zip(outer, nearest)):
+        yield int(a), basis.corner_nodes[root], np.asarray(weights[k])
 
 
 def _nearest(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows) -> Rows:

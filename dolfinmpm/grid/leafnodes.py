@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.grid.leafsearch import node_at
-from dolfinmpm.grid.leaves import Leaves
+from dolfinmpm.grid.leaves import Leaves, Tree
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -79,6 +79,10 @@ class LeafNodes:
         _, _, *search = tree.search
         _larger_leaf(fine.astype(np.int64), *search, leaves.number, larger)
         return cls(fine, corners, first, larger >= 0, _followed(leaves, fine, corners, larger))
+
+    def inner_knots(self, tree: Tree) -> npt.NDArray[np.float64]:
+        """Inner knots of the functions: positions of the nodes (m), shape (nodes, gdim, 1)."""
+        return tree.coordinates(self.fine)[:, :, None]
 
     def at(self, leaves: Leaves, fine: Ints, of: Ints) -> sparse.csr_matrix:
         """Values at positions in leaves from the values of the nodes, shape (n, nodes).

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.basis import LeafBasis
-from dolfinmpm.contact.contactstencils import stencil_matrix
 from dolfinmpm.grid.partition import Partition
 from dolfinmpm.solve.operator import Operator
 
@@ -152,6 +151,8 @@ def _between_leaves(
 ) -> tuple[npt.NDArray[np.int32], Array]:
     """Values of functions on old leaves at the nodes of new leaves, where there were leaves.
 
+    At the Greville points of splines these are the coefficients of nearly the same function.
+
     Args:
         old: The basis on the old leaves.
         values: Values at its nodes, shape (nodes, components).
@@ -160,15 +161,6 @@ def _between_leaves(
     Returns:
         Nodes of the new basis, and values, shape (n, components).
     """
-    gdim = basis.fine.shape[1]
-    x = np.ascontiguousarray(basis.node_coordinates()[:, :gdim])
-    cells = old.cells_at(x)
-    # a node at the upper sides of the old leaves is in none of them
-    least = 1e-6 * basis.cell_sizes().min(initial=1.0)
-    for corner in np.ndindex(*(2,) * gdim):
-        lost = np.flatnonzero(cells < 0)
-        cells[lost] = old.cells_at(x[lost] - least * np.array(corner))
-    nodes = np.flatnonzero(cells >= 0).astype(np.int32)
-    s = old.in_cells(x[nodes], cells[nodes])
-    N = stencil_matrix(s, s.N, (nodes.size, old.nodes.size))
-    return nodes, np.asarray(N @ values)
+    gdim = basis.grid.geometry.dim
+    nodes, N = old.values_at(np.ascontiguousarray(basis.node_coordinates()[:, :gdim]))
+    return nodes.astype(np.int32), np.asarray(N @ values)

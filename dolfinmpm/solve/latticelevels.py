@@ -17,11 +17,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm.basis import LeafBasis, LinearBasis
+from dolfinmpm.basis.knotinsertion import knot_insertion
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.solve.interpolations import (
     LatticeLevel,
     interpolations,
-    knot_insertion,
     lattice_family,
     next_level,
 )
@@ -110,10 +110,12 @@ def levels_of(
 def set_levels(pc: PETSc.PC, here: Activation) -> None:
     """Give PETSc's multigrid the levels of an activation. Collective.
 
-    Other meshes, and several fields, have one level, which factors solve.
+    Other meshes, splines on leaves, and several fields have one level, which factors solve.
     """
     comm, basis = here.unknowns.comm, here.fields[0].basis
     if isinstance(basis, LinearBasis) or len(here.fields) > 1:
+        return
+    if isinstance(basis, LeafBasis) and basis.degree > 1:
         return
     families = (
         leaf_families(basis.leaves) if isinstance(basis, LeafBasis)

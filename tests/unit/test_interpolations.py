@@ -10,11 +10,11 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm.basis.bspline import greville
+from dolfinmpm.basis.knotinsertion import knot_insertion
 from dolfinmpm.solve import latticelevels
 from dolfinmpm.solve.interpolations import (
     LatticeLevel,
     interpolations,
-    knot_insertion,
     lattice_family,
     next_level,
 )

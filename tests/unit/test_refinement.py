@@ -178,7 +178,7 @@ def test_leaves_of_one_size_are_a_finer_grid():
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"basis": "bspline2"}, 'refine needs basis="linear" or "gimp"'),
+        ({"basis": "bspline2", "configuration": "total"}, "refine needs"),
         ({"basis": "gimp", "coarsen": 2}, "refine needs"),
         ({"basis": "gimp", "levels": None}, "go together"),
         ({"basis": "gimp", "levels": 11}, "at most 10"),

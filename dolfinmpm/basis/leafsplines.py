@@ -1,0 +1,205 @@
+"""Splines on leaves: truncated hierarchical B-splines.
+
+Every leaf has the B-splines of the lattice of its own level. A spline is independent unless its
+support overlaps a larger leaf. Otherwise it *hangs*: its coefficient is that of the functions of
+the next coarser level after knot insertion, whose coefficients may hang in turn. These are the
+truncated hierarchical B-splines of Giannelli, Jüttler & Speleers (2012, doi
+10.1016/j.cagd.2012.03.025). They sum to 1, contain the polynomials of their degree, and are as
+smooth across leaves of two sizes as within a leaf.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.basis.knotinsertion import Parents, knot_insertion
+from dolfinmpm.grid.leafsearch import node_at
+from dolfinmpm.grid.leaves import Leaves, Tree
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+__all__ = ["LeafSplines", "knots_around"]
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _overlap_larger(level, index, degree, search, number, hangs):
+    """Mark the splines whose support overlaps a leaf of a coarser level."""
+    levels, shape, low, size, child = search
+    d = index.shape[1]
+    k = np.empty(d, np.int64)
+    for a in range(level.size):
+        width = 1 << (levels - level[a])
+        hangs[a] = False
+        for c in range((degree + 1) ** d):
+            rest, inside = c, True
+            for j in range(d - 1, -1, -1):
+                cell = index[a, j] - rest % (degree + 1)
+                rest //= degree + 1
+                inside = inside and 0 <= cell < shape[j] << level[a]
+                k[j] = cell * width
+            if not inside:
+                continue
+            node = node_at(k, levels, shape, low, size, child)
+            hangs[a] = hangs[a] or (number[node] >= 0 and size[node] > width)
+
+
+def knots_around(tree: Tree, degree: int, low: Ints, size: Ints) -> Array:
+    """Knots around leaves, shape (leaves, gdim, 2 degree); a leaf is between the middle two.
+
+    Args:
+        tree: The tree.
+        degree: Degree of the splines.
+        low: Numbers of the lowest lines of the leaves on the finest level, shape (leaves, gdim).
+        size: Number of the finest cells per direction, shape (leaves,).
+    """
+    last = np.array(tree.lattice.shape, np.int64) << tree.levels
+    fine = low[..., None] + size[:, None, None] * np.arange(1 - degree, degree + 1)
+    fine = np.clip(fine, 0, last[:, None])
+    columns = [tree.coordinates(fine[..., k].astype(np.int32)) for k in range(2 * degree)]
+    return np.ascontiguousarray(np.stack(columns, axis=2))
+
+
+@dataclass(frozen=True, eq=False)
+class LeafSplines:
+    """Splines of all leaves, the same on all ranks, in the order of their places.
+
+    Attributes:
+        level: Number of times that the roots are halved in the lattice of each spline, shape (n,).
+        index: Position in this lattice, shape (n, gdim).
+        corners: Splines of each leaf, the last direction fastest, shape (leaves, (degree+1)^gdim).
+        first: Lowest leaf of each spline, shape (n,).
+        hanging: Mask of the splines that hang, shape (n,).
+        matrix: Coefficients of all splines from those of independent splines, shape (n, n).
+    """
+
+    level: Ints
+    index: Ints
+    corners: Ints
+    first: Ints
+    hanging: npt.NDArray[np.bool_]
+    matrix: sparse.csr_matrix
+
+    @classmethod
+    def of(cls, leaves: Leaves, degree: int) -> LeafSplines:
+        """The splines of some leaves."""
+        tree, size = leaves.tree, leaves.size
+        gdim = leaves.low.shape[1]
+        of_leaf = (tree.levels - np.log2(np.maximum(size, 1)).round()).astype(np.int32)
+        offsets = np.array(list(np.ndindex(*(degree + 1,) * gdim)), np.int32)
+        index = (leaves.low // size[:, None])[:, None] + offsets
+        level = np.repeat(of_leaf, len(offsets))
+        every = np.column_stack([level, index.reshape(-1, gdim)]).astype(np.int64)
+        most = (tree.levels + 1, *_numbers(tree, degree, tree.levels))
+        keys = np.ravel_multi_index(tuple(every.T), most) if len(every) else every[:, 0]
+        _, at, corner = np.unique(keys, return_index=True, return_inverse=True)
+        # the matrix has a narrow band if neighbours stand together
+        chosen = every[at]
+        place = (2 * chosen[:, 1:] + 1 - degree) << (tree.levels - chosen[:, :1])
+        order = np.lexsort([chosen[:, 0], *place.T[::-1]])
+        number = np.empty(order.size, np.int32)
+        number[order] = np.arange(order.size, dtype=np.int32)
+        of, at_lines = chosen[order, 0].astype(np.int32), chosen[order, 1:].astype(np.int32)
+        corners = number[corner.ravel()].reshape(-1, len(offsets))
+        first = (at[order] // len(offsets)).astype(np.int32)
+        hanging, matrix = _followed(leaves, degree, of, at_lines)
+        return cls(of, at_lines, corners, first, hanging, matrix)
+
+    def inner_knots(self, tree: Tree) -> Array:
+        """Inner knots of the splines (m), shape (n, gdim, degree)."""
+        gdim, width = self.index.shape[1], 1 << (tree.levels - self.level)
+        degree = round(self.corners.shape[1] ** (1 / gdim)) - 1
+        low = np.asarray(self.index * width[:, None], np.int32)
+        return knots_around(tree, degree, low, width)[..., :degree]
+
+
+def _numbers(tree: Tree, degree: int, level: int) -> tuple[int, ...]:
+    """Number of splines of a level per direction."""
+    return tuple((cells << level) + degree for cells in tree.lattice.shape)
+
+
+def _parents(table: list[Parents], index: Ints) -> tuple[npt.NDArray[np.intp], Ints, Array]:
+    """Row, position and weight of the parents of splines on the next coarser level."""
+    rows = np.asarray(np.arange(len(index)), np.intp)
+    parents: Ints = np.empty((len(index), 0), np.int32)
+    weights: Array = np.ones(len(index))
+    for d, one in enumerate(table):
+        count = np.diff(one.start)[index[rows, d]]
+        begin = one.start[index[rows, d]]
+        each = np.repeat(np.arange(rows.size), count)
+        entry = begin[each] + np.arange(each.size) - np.repeat(np.cumsum(count) - count, count)
+        parents = np.column_stack([parents[each], one.parent[entry]])
+        weights, rows = weights[each] * one.weight[entry], rows[each]
+    return rows, parents, weights
+
+
+def _followed(
+    leaves: Leaves, degree: int, level: Ints, index: Ints
+) -> tuple[npt.NDArray[np.bool_], sparse.csr_matrix]:
+    """Mask of the hanging splines, and the matrix of their coefficients."""
+    from scipy import sparse
+
+    tree, n = leaves.tree, level.size
+    _, _, levels, *search = tree.search
+    lines: list[Array] = [tree.coordinates(_along(tree, d))[:, d] for d in range(index.shape[1])]
+    # splines of each level: those of leaves, and parents of hanging ones of the finer level
+    own = [np.flatnonzero(level == k) for k in range(levels + 1)]
+    wanted: list[Ints] = [index[rows] for rows in own]
+    masks: list[npt.NDArray[np.bool_]] = []
+    tables: list[list[Parents]] = []
+    for k in range(levels, -1, -1):
+        wanted[k] = np.unique(wanted[k], axis=0)
+        hangs = np.zeros(len(wanted[k]), bool)
+        at = np.full(hangs.size, k, np.int64)
+        _overlap_larger(at, wanted[k], degree, (levels, *search), leaves.number, hangs)
+        masks.insert(0, hangs)
+        if k:
+            made = [knot_insertion(line, degree) for line in lines]
+            lines = [np.asarray(line) for line, _ in made]
+            tables.insert(0, [table for _, table in made])
+            parents = _parents(tables[0], wanted[k][hangs])[1]
+            wanted[k - 1] = np.vstack([wanted[k - 1], parents]).astype(np.int32)
+    hanging: npt.NDArray[np.bool_] = np.zeros(n, bool)
+    before: npt.NDArray[np.int64] = np.empty(0, np.int64)
+    coarser = sparse.csr_matrix((0, n))
+    pieces = []
+    for k in range(levels + 1):
+        extent = _numbers(tree, degree, k)
+        keys: npt.NDArray[np.int64] = _keys(wanted[k], extent)
+        free, hanging_rows = np.flatnonzero(~masks[k]), np.flatnonzero(masks[k])
+        mine = np.searchsorted(keys, _keys(index[own[k]], extent))
+        number: npt.NDArray[np.int64] = np.full(keys.size, -1, np.int64)
+        number[mine] = own[k]
+        data = np.ones(free.size), (free, number[free])
+        rows = sparse.csr_matrix(data, shape=(keys.size, n))
+        if hanging_rows.size:
+            row, parents, weights = _parents(tables[k - 1], wanted[k][hanging_rows])
+            column = np.searchsorted(before, _keys(parents, _numbers(tree, degree, k - 1)))
+            shape = keys.size, before.size
+            rows = rows + sparse.csr_matrix((weights, (hanging_rows[row], column)), shape) @ coarser
+        hanging[own[k]] = masks[k][mine]
+        pieces.append(rows[mine])
+        coarser, before = rows.tocsr(), keys
+    matrix = sparse.vstack(pieces).tocsr()[np.argsort(np.concatenate(own), kind="stable")]
+    matrix.sort_indices()
+    return hanging, matrix
+
+
+def _keys(index: Ints, extent: tuple[int, ...]) -> npt.NDArray[np.int64]:
+    """Numbers of positions in a lattice, the last direction fastest."""
+    return np.asarray(np.ravel_multi_index(tuple(index.T), extent), np.int64)
+
+
+def _along(tree: Tree, d: int) -> Ints:
+    """Numbers of all lines of the finest level in one direction, zero in the others."""
+    fine = np.zeros(((tree.lattice.shape[d] << tree.levels) + 1, len(tree.lattice.shape)), np.int32)
+    fine[:, d] = np.arange(len(fine))
+    return fine
