@@ -12,7 +12,8 @@
 #   comes from the edge.
 # - `corner`: an L-shaped body with the exact displacement of the re-entrant corner on its outer
 #   sides, $u \sim r^{0.5445}$. A uniform grid has this order in the energy norm; leaves of size
-#   $\sqrt r/n$ regain the first order.
+#   $\sqrt r/n$ regain the first order. Quadratic splines (`--basis bspline2`) need leaves of
+#   $r^{3/4}/n$.
 # - `cone`: a smooth cone goes 2 R down in Tresca clay (`cone_penetration.py`). All grids have the
 #   same ground, rounding of R/4, penalty, and F-bar by the mean volumes. There is no exact force:
 #   the error is that of the mean over the last R, against leaves half as large as the smallest.
@@ -34,7 +35,7 @@ import footing
 import numpy as np
 from mpi4py import MPI
 from options import Options, option
-from refinement_scenes import column, corner, cut_block, figures_of_footing, patch
+from refinement_scenes import DEGREES, column, corner, cut_block, figures_of_footing, patch
 from scene import finish, say
 
 import dolfinmpm as mpm
@@ -61,7 +62,8 @@ class Input(Options):
     places: int = option(200, "of a cut block", least=1)
     trees: int = option(20, "random ones", least=1)
     dimension: int = option(2, "of conditioning and patches", choices=(2, 3))
-    stabilisation: str = option("ghost", choices=("ghost", "aggregation"))
+    stabilisation: str = option("ghost", choices=("none", "ghost", "aggregation"))
+    basis: str = option("gimp", "of corner, conditioning and patches", choices=tuple(DEGREES))
 
 
 # %% [markdown]
@@ -130,8 +132,9 @@ def runs_of(part, args):
             ("leaves", "refined"),
         ):
             for n in args.corner:
-                smallest = 1 / n if kind == "uniform" else 1 / n**2
-                yield name, smallest, corner(n, kind)
+                power = {"uniform": 1, "graded": 2, "refined": 2 * DEGREES[args.basis]}[kind]
+                smallest = float(n) ** -power
+                yield name, smallest, corner(n, kind, args.basis)
     elif part == "cone":
         exact = None
         for kind, h, words in cones(args):
@@ -230,7 +233,7 @@ if "conditioning" in args.parts:
     # each rank takes its share of the places
     comm = MPI.COMM_WORLD
     own = [
-        cut_block(k, args.dimension, args.stabilisation)
+        cut_block(k, args.dimension, args.stabilisation, args.basis)
         for k in range(comm.rank, args.places, comm.size)
     ]
     kappa = np.sort(np.concatenate(comm.allgather(own)))
@@ -242,7 +245,7 @@ if "conditioning" in args.parts:
 if "patch" in args.parts:
     comm = MPI.COMM_WORLD
     own = [
-        patch(k, args.dimension, args.stabilisation)
+        patch(k, args.dimension, args.stabilisation, args.basis)
         for k in range(comm.rank, args.trees, comm.size)
     ]
     worst = comm.allreduce(max(own, default=0.0), op=MPI.MAX)

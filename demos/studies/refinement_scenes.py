@@ -91,6 +91,9 @@ def column(h: float, levels: int = 0, steps: int = 40, graded: bool = False) -> 
     return figures_of(problem, deviation / (WEIGHT * HEIGHT * volume), started)
 
 
+DEGREES = {"linear": 1, "gimp": 1, "bspline2": 2, "bspline3": 3}
+
+
 class Corner:
     """The leading term of the displacement at a re-entrant corner of 270°, plane strain, mode I.
 
@@ -159,24 +162,27 @@ def energy(stress: np.ndarray) -> np.ndarray:
     return np.asarray((np.sum(stress**2, axis=(1, 2)) - NU * trace**2) / (2 * G))
 
 
-def corner(n: int, kind: str) -> Figures:
+def corner(n: int, kind: str, basis: str = "gimp") -> Figures:
     """An L-shaped body with the exact displacement on its outer sides: error of its energy norm.
 
     Args:
         n: Number of cells along a leg of 1 m.
-        kind: "uniform"; "refined", leaves of size √r/n at a distance r from the corner, down
-            to 1/n²; "graded", lines of a lattice at ± (k/n)².
+        kind: "uniform"; "refined", leaves of size r^(1 − 1/2p)/n for functions of degree p at a
+            distance r from the corner, down to n^(−2p); "graded", lines of a lattice at ± (k/n)².
+        basis: Basis of the displacement.
     """
     started, exact, size = time.perf_counter(), Corner(), 1e-3
+    p = DEGREES[basis]
     ends = np.linspace(-1, 1, 2 * n + 1)
     lines = np.sign(ends) * ends**2 if kind == "graded" else ends
     grid = mpm.create_lattice(MPI.COMM_WORLD, [lines, lines])
-    levels = math.ceil(math.log2(n)) if kind == "refined" else 0
+    levels = (2 * p - 1) * math.ceil(math.log2(n)) if kind == "refined" else 0
 
     def wanted(x: np.ndarray) -> np.ndarray:
-        return np.asarray(np.sqrt(np.maximum(np.hypot(x[0], x[1]), 1 / n**2)) / n * 1.0001)
+        apart = np.maximum(np.hypot(x[0], x[1]), float(n) ** (-2 * p))
+        return np.asarray(apart ** (1 - 0.5 / p) / n * 1.0001)
 
-    V = mpm.Space(grid, "gimp", **({"refine": wanted, "levels": levels} if levels else {}))
+    V = mpm.Space(grid, basis, **({"refine": wanted, "levels": levels} if levels else {}))
     shape = mpm.Polygon([(-1, -1), (0, -1), (0, 0), (1, 0), (1, 1), (-1, 1)])
     points = mpm.fill(grid, shape, per_cell=2, density=1.0, refine=V)
     F = mpm.momentum(mpm.materials.Hencky(E, NU), points, V.increment, V.test, strain="small")
@@ -200,7 +206,7 @@ def corner(n: int, kind: str) -> Figures:
     return figures_of(problem, math.sqrt(wrong / whole), started)
 
 
-def cut_block(k: int, gdim: int, stabilisation: str) -> float:
+def cut_block(k: int, gdim: int, stabilisation: str, basis: str = "gimp") -> float:
     """κ(K) of a block whose upper side cuts leaves of several sizes, the k-th of random places."""
     rng = np.random.default_rng(k)
     centre = np.append(rng.uniform(1, 3, gdim - 1), 2.3)[:, None]
@@ -210,7 +216,7 @@ def cut_block(k: int, gdim: int, stabilisation: str) -> float:
     def size(x: np.ndarray) -> np.ndarray:
         return np.where(np.linalg.norm(x - centre, axis=0) < 0.6, 0.25, 1.0)
 
-    V = mpm.Space(grid, "gimp", refine=size, levels=2)
+    V = mpm.Space(grid, basis, refine=size, levels=2)
     box = mpm.Box((0,) * gdim, (4,) * (gdim - 1) + (top,))
     points = mpm.fill(grid, box, per_cell=2, density=1e3, refine=V)
     F = mpm.momentum(mpm.materials.Hencky(E, NU), points, V.increment, V.test)
@@ -220,7 +226,7 @@ def cut_block(k: int, gdim: int, stabilisation: str) -> float:
     return float(mpm.study.condition_number(problem.stiffness()))
 
 
-def patch(k: int, gdim: int, stabilisation: str) -> float:
+def patch(k: int, gdim: int, stabilisation: str, basis: str = "gimp") -> float:
     """Largest error of a homogeneous deformation, relative, on the k-th of random trees.
 
     The upper side of the block cuts leaves, but those of its last root are held.
@@ -234,14 +240,17 @@ def patch(k: int, gdim: int, stabilisation: str) -> float:
         apart = np.linalg.norm(x.T[:, None] - centres, axis=2)
         return np.asarray(np.minimum(sizes + np.maximum(apart - 0.3, 0), 1).min(axis=1) * 1.01)
 
-    V = mpm.Space(grid, "gimp", refine=size, levels=3)
+    V = mpm.Space(grid, basis, refine=size, levels=3)
     box = mpm.Box((0,) * gdim, (4,) * (gdim - 1) + (top,))
     points = mpm.fill(grid, box, per_cell=2, density=1e3, refine=V)
     F = mpm.momentum(mpm.materials.Hencky(E, NU), points, V.increment, V.test)
 
+    # splines of the last root have their Greville points below it, too
+    lowest = top - 1 if DEGREES[basis] == 1 else math.floor(top) - 0.51 * (DEGREES[basis] - 1)
+
     def held(x: np.ndarray) -> np.ndarray:
         outside = np.any((x < 1e-9) | (x > 4 - 1e-9), axis=0)
-        return np.asarray(outside | (x[gdim - 1] > top - 1))
+        return np.asarray(outside | (x[gdim - 1] > lowest))
 
     bcs = [
         condition

@@ -73,10 +73,6 @@ class LeafBasis:
             middle two, which are its corners for linear functions.
         corner_nodes: Nodes of the cells, the last direction fastest, shape (cells,
             (degree + 1)^gdim).
-        fine: Numbers of the lines of the nodes on the finest level, shape (nodes, gdim); empty for
-            splines.
-        inner_knots: Inner knots of the functions (m), shape (nodes, gdim, degree): for linear
-            functions the positions of the nodes.
         hanging: Matrix from the nodes that do not hang to all nodes, shape (nodes, nodes).
         leaf: Number of each cell in the leaves of all ranks, shape (cells,).
     """
@@ -90,16 +86,13 @@ class LeafBasis:
     ):
         self._base, self.leaves, self.partition, self.layers = base, leaves, partition, layers
         every = LeafNodes.of(leaves) if self.degree == 1 else LeafSplines.of(leaves, self.degree)
-        chosen = self._number(every, *self._known())
+        # functions of all ranks, and those that this rank knows
+        self._functions, self._chosen = every, self._number(every, *self._known())
         tree, cells = leaves.tree, leaves.node[self.leaf]
         self.knots = knots_around(tree, self.degree, tree.low[cells], tree.size[cells])
-        self.inner_knots = every.inner_knots(tree)[chosen]
-        self._node_x = np.zeros((chosen.size, 3))
-        self._node_x[:, : self.inner_knots.shape[1]] = self.inner_knots.mean(axis=2)
+        self._node_x = np.zeros((self._chosen.size, 3))
+        self._node_x[:, : self.knots.shape[1]] = self.inner_knots.mean(axis=2)
         self._node_x.flags.writeable = False
-        self.fine: Ints = np.empty((0, self.inner_knots.shape[1]), np.int32)
-        if isinstance(every, LeafNodes):
-            self.fine = every.fine[chosen]
 
     def _known(self) -> tuple[Ints, npt.NDArray[np.bool_]]:
         """Rank that owns each leaf, and mask of the leaves that this rank knows."""
@@ -168,6 +161,25 @@ class LeafBasis:
     def continuity(self) -> int:
         """Highest derivative that is continuous across facets."""
         return self._base.continuity
+
+    @property
+    def fine(self) -> Ints:
+        """Numbers of the lines of the nodes on the finest level, shape (nodes, gdim)."""
+        assert isinstance(self._functions, LeafNodes)
+        return self._functions.fine[self._chosen]
+
+    @functools.cached_property
+    def inner_knots(self) -> Array:
+        """Inner knots of the functions (m), shape (nodes, gdim, degree).
+
+        For linear functions they are the positions of the nodes.
+        """
+        return self._functions.inner_knots(self.leaves.tree)[self._chosen]
+
+    def integrals_outside(self) -> Array:
+        """Integral of each independent spline where there are no leaves (m^d), shape (nodes,)."""
+        assert isinstance(self._functions, LeafSplines)
+        return self._functions.integrals_outside(self.leaves)[self._chosen]
 
     def node_coordinates(self) -> Array:
         """Positions (m) of the nodes, or Greville points of the splines, shape (nodes, 3)."""

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.basis.knotinsertion import Parents, knot_insertion
+from dolfinmpm.basis.leafsplinestencils import leaf_integrals
 from dolfinmpm.grid.leafsearch import node_at
 from dolfinmpm.grid.leaves import Leaves, Tree
 
@@ -119,6 +120,41 @@ class LeafSplines:
         degree = round(self.corners.shape[1] ** (1 / gdim)) - 1
         low = np.asarray(self.index * width[:, None], np.int32)
         return knots_around(tree, degree, low, width)[..., :degree]
+
+    def integrals_outside(self, leaves: Leaves) -> Array:
+        """Integral of each spline over what no leaf covers of its support (m^d), shape (n,).
+
+        A cell of the spline's level counts by its volume that no leaf covers. Hanging splines have
+        the integral 0.
+        """
+        tree, gdim = leaves.tree, self.index.shape[1]
+        degree = round(self.corners.shape[1] ** (1 / gdim)) - 1
+        found: Array = np.zeros(self.level.size)
+        low, high = tree.corners(leaves.node)
+        volume = np.prod(high - low, axis=1)
+        for level in np.unique(self.level):
+            width, rows = 1 << (tree.levels - level), np.flatnonzero(self.level == level)
+            rows = rows[~self.hanging[rows]]
+            extent = tuple(n << int(level) for n in tree.lattice.shape)
+            small = leaves.size <= width
+            inside = _keys(leaves.low[small] // width, extent)
+            keys, of = np.unique(inside, return_inverse=True)
+            covered = np.append(np.bincount(of.ravel(), volume[small], minlength=keys.size), 0.0)
+            for offset in np.ndindex(*(degree + 1,) * gdim):
+                cells = self.index[rows] - np.array(offset, np.int32)
+                own = np.all((cells >= 0) & (cells < extent), axis=1)
+                cells, of_rows = cells[own], rows[own]
+                fine, size = (cells * width).astype(np.int32), np.full(len(cells), width)
+                along = np.empty((len(cells), gdim, degree + 1))
+                leaf_integrals(knots_around(tree, degree, fine, size), along)
+                whole = np.prod(tree.coordinates(fine + width) - tree.coordinates(fine), axis=1)
+                number = _keys(cells, extent)
+                at = np.searchsorted(keys, number)
+                at[(at == keys.size) | (np.append(keys, -1)[at] != number)] = keys.size
+                found[of_rows] += (1 - covered[at] / whole) * np.prod(
+                    along[:, np.arange(gdim), offset], axis=1
+                )
+        return found
 
 
 def _numbers(tree: Tree, degree: int, level: int) -> tuple[int, ...]:

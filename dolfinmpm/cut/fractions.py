@@ -192,6 +192,7 @@ def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | L
             both.scatter_reverse(InsertMode.add)
             both.scatter_forward()
         parts, wholes = sums.T
+        wholes = wholes + basis.integrals_outside()
         shares = np.divide(parts, wholes, out=np.zeros(len(sums)), where=~basis.hangs)
         return np.asarray(np.minimum.reduceat(shares[H.indices], H.indptr[:-1]))
     whole = np.ones(basis.nodes.size)

@@ -18,6 +18,8 @@ Rows = npt.NDArray[np.intp]
 # Nearest leaves among which the root of a node is chosen, and their largest distance in units of
 # the larger cell
 _CANDIDATES, _FARTHEST = 64, 5.0
+# The same of each size, for splines
+_OF_SIZE = 24
 
 
 def leaf_constraints(
@@ -26,8 +28,9 @@ def leaf_constraints(
     """Nodes with too little support, with the nodes of their roots and the weights.
 
     The root is the nearest leaf, with the distance in units of the larger one of the root and of
-    the cells at the node. Among equal leaves the lowest one decides. A node on a side of the grid
-    uses only leaves on this side. Hanging nodes follow their leaf and need no root.
+    the cells at the node. For splines it is the leaf with the least weights. Among equal leaves
+    the lowest one decides. A node on a side of the grid uses only leaves on this side. Hanging
+    nodes follow their leaf and need no root.
 
     Args:
         basis: The basis.
@@ -65,16 +68,20 @@ def leaf_constraints(
 
 def _nearest(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows) -> Rows:
     """Root of each node, or -1."""
-    from scipy.spatial import cKDTree
-
     low, high = basis.cell_corners()
     size, x = basis.cell_sizes(), basis.node_coordinates()[outer, : low.shape[1]]
     around: Array = np.zeros(basis.nodes.size)
     np.maximum.at(around, basis.corner_nodes.ravel(), np.repeat(size, basis.corner_nodes.shape[1]))
-    count = min(_CANDIDATES, roots.size)
-    middles = 0.5 * (low + high)[roots]
-    distance, near = cKDTree(middles).query(x, k=[*range(1, count + 1)])
-    unit = distance / np.maximum(size[roots][near], around[outer][:, None])
+    middles, far = 0.5 * (low + high)[roots], _FARTHEST
+    if basis.degree == 1:
+        distance, near = _candidates(x, middles, np.arange(roots.size), _CANDIDATES)
+        unit = distance / np.maximum(size[roots][near], around[outer][:, None])
+    else:
+        # a far large leaf may serve better than near small ones
+        level = np.round(np.log2(size[roots] / size.min()))
+        each = [np.flatnonzero(level == k) for k in np.unique(level)]
+        near = np.hstack([_candidates(x, middles, rows, _OF_SIZE)[1] for rows in each])
+        unit, far = _growth(basis, outer, roots[near]), np.inf
     ends = np.array([[line[0], line[-1]] for line in basis.lattice.lines])
     allowed: npt.NDArray[np.bool_] = np.ones(near.shape, bool)
     for d, (first, last) in enumerate(ends):
@@ -83,8 +90,26 @@ def _nearest(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows) -> Row
             at_side = np.abs(x[:, d] - end) <= slack
             allowed &= ~at_side[:, None] | (np.abs(corner[roots][near][..., d] - end) <= slack)
     allowed |= ~allowed.any(axis=1, keepdims=True)
-    unit = np.where(allowed & (unit <= _FARTHEST), unit, np.inf)
+    unit = np.where(allowed & (unit <= far), unit, np.inf)
     best = unit.min(axis=1, keepdims=True)
     chosen = np.where(unit <= best * (1 + 1e-9), near, roots.size).min(axis=1)
     known = np.isfinite(best[:, 0])
     return np.where(known, roots[np.minimum(chosen, roots.size - 1)], -1)
+
+
+def _candidates(x: Array, middles: Array, rows: Rows, most: int) -> tuple[Array, Rows]:
+    """Distances of the nearest of some leaves, and their rows, shape (x, candidates)."""
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(middles[rows]).query(x, k=[*range(1, min(most, rows.size) + 1)])
+    return np.asarray(found[0]), rows[found[1]]
+
+
+def _growth(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows) -> Array:
+    """Norm of the weights that continue splines of roots to outer ones, shape (outer, roots)."""
+    norm: Array = np.ones(roots.shape)
+    each = np.repeat(outer, roots.shape[1])
+    for d in range(basis.knots.shape[1]):
+        weights = extended(basis.knots[roots.ravel(), d], basis.inner_knots[each, d])
+        norm *= np.linalg.norm(weights, axis=1).reshape(roots.shape)
+    return norm

@@ -51,6 +51,7 @@ CASES = {
         stabilisations.stabilisations_bspline2,
         stabilisations.facets_of_few_ranks,
         stabilisations.soft_leaves,
+        stabilisations.splines_on_leaves,
         stabilisations.lattice_multigrid,
         stabilisations.adaptive_penalties,
         plasticity.large_strain,

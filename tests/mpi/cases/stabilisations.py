@@ -71,6 +71,27 @@ def soft_leaves():
     return result
 
 
+def splines_on_leaves():
+    """Splines on leaves of three sizes, whose independent ones may belong to another rank."""
+    figures = {}
+    for basis, kind, fbar in (
+        ("bspline2", "ghost", True), ("bspline3", "ghost", False),
+        ("bspline2", "aggregation", False),
+    ):  # fmt: skip
+        grid = mpm.create_lattice(COMM, [np.arange(10.0), np.arange(10.0)])
+        V = mpm.Space(grid, basis, refine=lambda x: 0.2 + 0.15 * np.hypot(*(x[:2] - 4.0)), levels=2)
+        points = mpm.fill(grid, mpm.Box((1.3, 0), (6.2, 5.15)), 2, 1.0, refine=V)
+        g = fem.Constant(grid, (0.0, 0.0))
+        law = mpm.materials.VonMises(E=1000.0, nu=0.3, yield_stress=3.0)
+        F = mpm.momentum(law, points, V.increment, V.test, fbar=fbar)
+        F -= ufl.inner(points.density * g, V.test) * points.dX
+        loads = [(0.05, -0.3), (0.1, -0.6)]
+        _, result = run(points, V, F, mpm.fixed(V, "bottom"), loads, g, stabilisation=kind)
+        result.pop("moved")
+        figures[f"{basis} {kind}"] = result
+    return figures
+
+
 def lattice_multigrid():
     """A leaning body by multigrid of the lattice, whose levels span ranks."""
     figures = {}
