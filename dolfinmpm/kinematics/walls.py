@@ -51,6 +51,8 @@ __all__ = ["Wall", "signorini"]
 _PENALTY, _SLIP = 1e2, 0.5
 # Markers so many cells apart touch the same part of a body that slides
 _NEAR = 1.0
+# A body so near in units of a cell touches
+_TOUCHES = 1e-9
 # slip below this share of a cell has no direction
 _STILL = 1e-12
 
@@ -111,7 +113,8 @@ class Wall:
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
-        gap[new] = np.minimum(-distance, 0.0)[new]
+        touches = distance < _TOUCHES * largest_cell(markers.grid)
+        gap[new] = np.where(touches, 0.0, -distance)[new]
         self._inherit(new, known > 0.0, (gap, shear))
         gap[~on], shear[~on] = 0.0, 0.0
         known[:] = on
@@ -222,7 +225,8 @@ def signorini(
     force = markers.add_field(f"{name}_force", (d,), "N")
     n = boundary.normal
     g = on * (gap + ufl.dot(n, u))
-    p = k * ufl.conditional(ufl.gt(g, 0.0), g, 0.0)
+    # a body that just touches is pushed back from the first iteration on
+    p = k * ufl.conditional(ufl.ge(g, 0.0), g, 0.0)
     traction = -p * n
     updates = {gap.name: g}
     if mu > 0 and d > 1:
