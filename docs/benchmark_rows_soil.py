@@ -63,6 +63,14 @@ def _leaf_corner(answer: Answer) -> list[float]:
     return [*(found["orders"][kind] for kind in kinds), 100 * found["share"]]
 
 
+def _leaf_splines(answer: Answer) -> list[float]:
+    """Orders in the energy norm: uniform, leaves; error (%) and unknowns of the finest leaves."""
+    found = answer["corner"]
+    last = [run for run in found["runs"] if run["grid"] == "leaves"][-1]
+    orders = (found["orders"][kind] for kind in ("uniform", "leaves"))
+    return [*orders, 100 * last["error"], last["unknowns"]]
+
+
 def _leaf_footing(answer: Answer) -> list[float]:
     """Least errors (%) and their unknowns: uniform, graded lines, leaves; share as above (%)."""
     runs = answer["footing"]["runs"]
@@ -104,6 +112,10 @@ ROWS = (
         "uniform grid with the same error (%)",
         each("refinement", "--parts corner"), _leaf_corner, "{:.2f}, {:.2f}, {:.2f}; {:.2g}",
         "exact: 0.54, 1, 1", quick=True),
+    Row("leaf-splines", LEAVES, "the same with quadratic splines, 4, 8 cells per leg: order on a "
+        "uniform grid, in leaves; error (%) and unknowns of the finest leaves",
+        each("refinement", "--parts corner --basis bspline2 --corner 4,8"), _leaf_splines,
+        "{:.2f}, {:.2f}; {:.2f}, {:.0f}", "exact: 0.54, 2", quick=True),
     Row("leaf-footing", LEAVES, "smooth strip footing on Tresca clay, F-bar: error of the load (%) "
         "and unknowns, uniform cells of 1/32 of the half-width, graded lines, leaves; unknowns of "
         "leaves over those of a uniform grid with the same error (%)",
@@ -118,6 +130,13 @@ ROWS = (
         "trees", (*each("refinement", "--parts conditioning,patch",
                         "--parts conditioning --stabilisation aggregation",
                         "--parts conditioning --dimension 3 --places 30"),),
+        lambda a, b, c: [*(x["conditioning"]["spread"] for x in (a, b, c)), a["patch"]["worst"]],
+        "{:.3g}, {:.3g}; {:.3g}; {:.0e}", "at most 20; rounding errors"),
+    Row("leaf-spline-cuts", LEAVES, "the same with quadratic splines: ghost penalty, aggregation; "
+        "16 places in 3D; patches on 60 random trees",
+        (*each("refinement", "--parts conditioning,patch --trees 60 --basis bspline2",
+               "--parts conditioning --stabilisation aggregation --basis bspline2",
+               "--parts conditioning --dimension 3 --places 16 --basis bspline2"),),
         lambda a, b, c: [*(x["conditioning"]["spread"] for x in (a, b, c)), a["patch"]["worst"]],
         "{:.3g}, {:.3g}; {:.3g}; {:.0e}", "at most 20; rounding errors"),
     Row("leaf-slope", LEAVES, "slope with a weak zone, cells of 1 m halved where it yields: runout "

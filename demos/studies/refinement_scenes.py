@@ -176,7 +176,7 @@ def corner(n: int, kind: str, basis: str = "gimp") -> Figures:
     ends = np.linspace(-1, 1, 2 * n + 1)
     lines = np.sign(ends) * ends**2 if kind == "graded" else ends
     grid = mpm.create_lattice(MPI.COMM_WORLD, [lines, lines])
-    levels = (2 * p - 1) * math.ceil(math.log2(n)) if kind == "refined" else 0
+    levels = math.ceil((2 * p - 1) * math.log2(n)) if kind == "refined" else 0
 
     def wanted(x: np.ndarray) -> np.ndarray:
         apart = np.maximum(np.hypot(x[0], x[1]), float(n) ** (-2 * p))

@@ -12,7 +12,7 @@ import dolfinmpm as mpm
 LAW = mpm.materials.Hencky(E=1000.0, nu=0.3)
 
 
-def block(levels, term="", **options):
+def block(levels, term="", basis="gimp", **options):
     """A block that falls onto the bottom, in cells of a quarter: leaves, or a grid of such cells.
 
     Its right side cuts cells.
@@ -20,7 +20,7 @@ def block(levels, term="", **options):
     lines = np.linspace(0, 3, 3 * 2 ** (2 - levels) + 1)
     grid = mpm.create_lattice(MPI.COMM_SELF, [lines, lines])
     refined = {"refine": lambda x: np.full(x.shape[1], 0.25), "levels": levels} if levels else {}
-    V = mpm.Space(grid, "gimp", **refined)
+    V = mpm.Space(grid, basis, **refined)
     box = mpm.Box((0.0, 0.0), (1.9, 1.25))
     points = mpm.fill(grid, box, 2, 1.0, **({"refine": V} if levels else {}))
     u, v = V.increment, V.test
@@ -51,11 +51,13 @@ def state(problem, steps=20, dt=1e-3):
     return [points[name][order] for name in ("x", "velocity", "stress")]
 
 
-@pytest.mark.parametrize("term", ["", "wall", "penalty"])
-def test_leaves_of_one_size_are_a_finer_grid(term):
+@pytest.mark.parametrize(
+    ("term", "basis"), [("", "gimp"), ("wall", "gimp"), ("penalty", "gimp"), ("wall", "bspline2")]
+)
+def test_leaves_of_one_size_are_a_finer_grid(term, basis):
     """Bulk viscosity, and traces that weigh light nodes, as on a grid of such cells."""
     options = {"bulk_viscosity": (0.06, 1.2)}
-    fine, leaves = (state(block(levels, term, **options)) for levels in (0, 2))
+    fine, leaves = (state(block(levels, term, basis, **options)) for levels in (0, 2))
     for a, b in zip(fine, leaves):
         assert np.abs(a - b).max() < 1e-10 * np.abs(a).max()
 

@@ -11,11 +11,13 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 
 
-@pytest.mark.parametrize("method", ["nitsche", "penalty"])
-def test_a_boundary_across_leaves_holds_the_body_as_on_a_fine_grid(method):
+@pytest.mark.parametrize(
+    ("method", "basis"), [("nitsche", "gimp"), ("penalty", "gimp"), ("nitsche", "bspline2")]
+)
+def test_a_boundary_across_leaves_holds_the_body_as_on_a_fine_grid(method, basis):
     def settled(cells, **options):
         grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2)
-        V = mpm.Space(grid, "gimp", **options)
+        V = mpm.Space(grid, basis, **options)
         corners = [(0.3, 0.3), (3.7, 0.3), (3.7, 2.3), (0.3, 2.3)]
         body = mpm.Polygon(corners)
         points = mpm.fill(grid, body, per_cell=2, density=2000.0, refine=V, exact=True)

@@ -156,3 +156,52 @@ def settled(basis, cells, averaged=True, **options):
 def test_leaves_of_one_size_are_a_finer_grid(basis, averaged):
     one = settled(basis, 4, averaged, refine=lambda x: np.full(x.shape[1], 0.5), levels=1)
     np.testing.assert_allclose(one, settled(basis, 8, averaged), rtol=0, atol=2e-8)
+
+
+def swung(cells, **options):
+    """Points of a bar that swings, after three steps in time."""
+    grid = mpm.create_lattice(refined.MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2)
+    V = mpm.Space(grid, "bspline2", **options)
+    points = mpm.fill(grid, mpm.Box((0, 0), (3.3, 1.3)), per_cell=2, density=2000.0, refine=V)
+    F = mpm.momentum(mpm.materials.Hencky(2e6, 0.3), points, V.increment, V.test)
+    problem = mpm.Newmark(
+        F, V.increment, points, mpm.fixed(V, "left"), stabilisation="ghost", tolerance=1e-10
+    )
+    x = points["x"]
+    points["velocity"] = np.column_stack([np.zeros(len(x)), x[:, 0]])
+    for k in range(3):
+        problem.step(5e-3 * (k + 1))
+    order = np.lexsort(points["x0"].T.round(6))
+    return [points[name][order] for name in ("x", "velocity")]
+
+
+def soaked(cells, **options):
+    """Positions and pressures of a saturated block that settles, after two steps."""
+    grid = mpm.create_lattice(refined.MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2)
+    V, Q = (mpm.Space(grid, "bspline2", **options), mpm.Space(grid, "gimp", shape=(), **options))
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0, refine=V)
+    top = mpm.Surface(points, lambda x: x[1] > 2 - 1e-9, (0, 1), name="top")
+    fields, tests = (V.increment, Q.increment), (V.test, Q.test)
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(1e6, 0.3), points, fields, tests, drained=top, permeability=1e-3,
+        porosity=0.4, fluid=mpm.Fluid(gravity=10.0),
+    )  # fmt: skip
+    bcs = mpm.rollers(V, "left", "right", "bottom")
+    problem = mpm.Transient(
+        F, list(fields), points, bcs, stabilisation=["ghost", "ghost"], tolerance=1e-10
+    )
+    for k in range(2):
+        problem.step(10.0 * (k + 1))
+    order = np.lexsort(points["x0"].T.round(6))
+    return [points[name][order] for name in ("x", "pressure")]
+
+
+@pytest.mark.parametrize("run", [swung, soaked])
+def test_steps_in_time_on_leaves_of_one_size(run):
+    fine = run(8)
+    one = run(4, refine=lambda x: np.full(x.shape[1], 0.5), levels=1)
+    for a, b in zip(one, fine):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-7 * np.abs(b).max())
+    several = run(4, refine=lambda x: np.where(x[0] < 1.5, 0.25, 0.5), levels=2)
+    assert np.isfinite(several[0]).all()
+    assert several[0][:, 1].max() == pytest.approx(fine[0][:, 1].max(), abs=0.15)

@@ -268,11 +268,12 @@ def test_cells_follow_a_part_of_a_body():
         mpm.near(pile, 0.1, part=mpm.Box((0, 0, 0), (1, 1, 1)))
 
 
-def test_cells_follow_a_rigid_body():
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_cells_follow_a_rigid_body(basis):
     grid = lattice(2)
     ball = mpm.RigidBody(mpm.Ball((2, 2.8), 0.5), increment=(0, -0.2))
     fine = mpm.near(ball, size=0.25, reach=0.2)
-    V = mpm.Space(grid, "gimp", refine=fine, levels=2)
+    V = mpm.Space(grid, basis, refine=fine, levels=2)
     points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=1e3, refine=V)
     u, v = V.increment, V.test
     F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
@@ -307,14 +308,14 @@ def test_condition_is_bounded_with_leaves_of_two_sizes_in_the_cut(stabilisation)
     assert max(found) / min(found) < 20
 
 
-def swept(steps, path=None, restart=None):
+def swept(basis, steps, path=None, restart=None):
     """Points of a block whose fine cells move with the number of the step."""
     grid, place = lattice(2), [0]
 
     def size(x):
         return np.where(np.abs(x[0] - 0.5 - 0.3 * place[0]) < 0.3, 0.25, 1.1)
 
-    V = mpm.Space(grid, "gimp", refine=size, levels=2)
+    V = mpm.Space(grid, basis, refine=size, levels=2)
     points = mpm.fill(grid, mpm.Box((0.2, 0), (3.4, 2)), per_cell=2, density=1e3)
     u, v = V.increment, V.test
     load = fem.Constant(grid, (0.0, 0.0))
@@ -333,10 +334,11 @@ def swept(steps, path=None, restart=None):
     return points["x"][order], [(r.split, r.merged) for r in problem.history]
 
 
-def test_a_restart_goes_on_with_the_same_leaves(tmp_path):
-    whole, adapted = swept(6)
-    swept(3, path=tmp_path / "run.npz")
-    again, same = swept(6, restart=tmp_path / "run.npz")
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_a_restart_goes_on_with_the_same_leaves(tmp_path, basis):
+    whole, adapted = swept(basis, 6)
+    swept(basis, 3, path=tmp_path / "run.npz")
+    again, same = swept(basis, 6, restart=tmp_path / "run.npz")
     assert sum(merged for _, merged in adapted) > 0
     assert same == adapted
     np.testing.assert_array_equal(again, whole)

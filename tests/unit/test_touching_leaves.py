@@ -15,13 +15,13 @@ def near_contact(x):
     return np.where(np.abs(x[1] - 1.0) < 0.4, 0.125, 0.5)
 
 
-def slid(cells, levels, size=None, steps=3):
+def slid(cells, levels, size=None, steps=3, basis="gimp"):
     """A block slides on another one; its problem and points after some steps."""
     grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 4, cells + 1)] * 2)
     h = 4 / (cells * 2**levels)
     size = size or (lambda x: np.full(x.shape[1], h))
     refined = {"refine": size, "levels": levels} if levels else {}
-    A, B = (mpm.Space(grid, "gimp", tag=tag, **refined) for tag in (1, 2))
+    A, B = (mpm.Space(grid, basis, tag=tag, **refined) for tag in (1, 2))
     given = [{"refine": V} if levels else {} for V in (A, B)]
     lower = mpm.fill(grid, mpm.Box((0, 0), (3.5, 1)), 2, 2000.0, tag=1, **given[0])
     upper = mpm.fill(grid, mpm.Box((1, 1), (2.5, 2)), 2, 2000.0, tag=2, **given[1])
@@ -46,9 +46,10 @@ def slid(cells, levels, size=None, steps=3):
     return problem, points, bottom
 
 
-def test_equal_leaves_touch_as_the_cells_of_a_grid():
-    on_grid, points, _ = slid(16, 0)
-    on_leaves, others, _ = slid(8, 1)
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_equal_leaves_touch_as_the_cells_of_a_grid(basis):
+    on_grid, points, _ = slid(16, 0, basis=basis)
+    on_leaves, others, _ = slid(8, 1, basis=basis)
     assert on_leaves.history[-1].unknowns == on_grid.history[-1].unknowns
     order, other = (np.lexsort(p["x0"].T.round(9)) for p in (points, others))
     assert others["x"][other] == pytest.approx(points["x"][order], abs=1e-8)
