@@ -211,6 +211,11 @@ ROWS = (
         each("cone_penetration", "--refine --h 0.25 --depth 14", "--refine --h 0.125 --depth 14",
              "--refine --h 0.0625 --depth 14 --step 0.05"), _cone_leaves,
         "; ".join(["{:+.1f}, {:.1f}, {:.0f}, {:.1f}, {:.1f}"] * 3), "Teh & Houlsby 1991: 0"),
+    Row("cone-splines", LEAVES, "the same with quadratic splines on leaves of R/4, R/8: error of "
+        "the cone factor over the last 4 R, scatter (%), unknowns, Newton iterations per step, minutes",
+        each("cone_penetration", "--refine --h 0.25 --depth 14 --basis bspline2",
+             "--refine --h 0.125 --depth 14 --basis bspline2"), _cone_leaves,
+        "; ".join(["{:+.1f}, {:.1f}, {:.0f}, {:.1f}, {:.1f}"] * 2), "Teh & Houlsby 1991: 0"),
     Row("cone-index", LEAVES, "the same with cells of R/8, I_r = 50, 300: error (%)",
         each("cone_penetration", *(f"--refine --h 0.125 --depth 14 --rigidity-index {i}"
                                    for i in (50, 300))),
@@ -219,6 +224,10 @@ ROWS = (
         "reached (m), mean resistance of the last 2 m (MPa)",
         each("cone_penetration", "--law sand --h 0.2 --step 0.04"),
         lambda a: [a["reached"], 1e-6 * a["tip_resistance"]], "{:.1f}, {:.2f}"),
+    Row("cone-sand-leaves", LEAVES, "the same with cells of R/4, R/8, R/16 that follow its tip: "
+        "mean resistance of the last 2 m (MPa)",
+        each("cone_penetration", *(f"--law sand --refine --h {h}" for h in (0.1, 0.05, 0.025))),
+        lambda *answers: [1e-6 * a["tip_resistance"] for a in answers], "{:.2f}, {:.2f}, {:.2f}"),
     Row("plough", STEEL, "share 1 m deep and wide dragged through sand by 1 m, cells of 0.25 m, "
         "two ranks: pull over the last fifth (MN), heap (m), Newton iterations per step",
         ("mpirun -n 2 python3 demos/studies/plough.py",),
