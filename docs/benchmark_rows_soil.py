@@ -212,7 +212,7 @@ ROWS = (
              "--refine --h 0.0625 --depth 14 --step 0.05"), _cone_leaves,
         "; ".join(["{:+.1f}, {:.1f}, {:.0f}, {:.1f}, {:.1f}"] * 3), "Teh & Houlsby 1991: 0"),
     Row("cone-splines", LEAVES, "the same with quadratic splines on leaves of R/4, R/8: error of "
-        "the cone factor over the last 4 R, scatter (%), unknowns, Newton iterations per step, minutes",
+        "the cone factor over the last 4 R, scatter (%), unknowns, iterations per step, minutes",
         each("cone_penetration", "--refine --h 0.25 --depth 14 --basis bspline2",
              "--refine --h 0.125 --depth 14 --basis bspline2"), _cone_leaves,
         "; ".join(["{:+.1f}, {:.1f}, {:.0f}, {:.1f}, {:.1f}"] * 2), "Teh & Houlsby 1991: 0"),

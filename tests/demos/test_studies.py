@@ -381,6 +381,15 @@ def test_refinement(tmp_path):
         assert (tmp_path / name).stat().st_size > 0
 
 
+def test_refinement_of_splines():
+    options = "--parts corner,conditioning,patch --basis bspline2 --corner 4,8 --places 8 --trees 3"
+    figures = run("refinement", *options.split(), "--no-plot")
+    assert figures["corner"]["orders"]["uniform"] == pytest.approx(0.54, abs=0.1)
+    assert figures["corner"]["orders"]["leaves"] > 1.9
+    assert figures["conditioning"]["spread"] < 20
+    assert figures["patch"]["worst"] < 1e-12
+
+
 @pytest.mark.long
 def test_refinement_at_a_cone(tmp_path):
     options = "--parts cone --cone 1,0.5 --cone-lines 1,0.5 --cone-leaves 1,0.5"
