@@ -168,6 +168,13 @@ class LeafBasis:
         assert isinstance(self._functions, LeafNodes)
         return self._functions.fine[self._chosen]
 
+    @property
+    def levelled(self) -> Ints:
+        """Level and position of each spline, shape (nodes, 1 + gdim); see `LeafSplines`."""
+        assert isinstance(self._functions, LeafSplines)
+        both = np.column_stack([self._functions.level, self._functions.index])
+        return both[self._chosen]
+
     @functools.cached_property
     def inner_knots(self) -> Array:
         """Inner knots of the functions (m), shape (nodes, gdim, degree).

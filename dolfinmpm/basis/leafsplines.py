@@ -111,13 +111,27 @@ class LeafSplines:
         of, at_lines = chosen[order, 0].astype(np.int32), chosen[order, 1:].astype(np.int32)
         corners = number[corner.ravel()].reshape(-1, len(offsets))
         first = (at[order] // len(offsets)).astype(np.int32)
-        hanging, matrix = _followed(leaves, degree, of, at_lines)
-        return cls(of, at_lines, corners, first, hanging, matrix)
+        found = _coefficients(leaves, degree, (of, at_lines), of, at_lines)
+        return cls(of, at_lines, corners, first, found.hanging, found.matrix)
+
+    def at(self, leaves: Leaves, level: Ints, index: Ints) -> sparse.csr_matrix:
+        """Coefficients of splines of any level from those of these splines, shape (n, splines).
+
+        Args:
+            leaves: The leaves of these splines.
+            level, index: Levels and positions of the splines asked for, which must be finer than
+                the leaves or splines of them.
+        """
+        own = self.level, self.index
+        return _coefficients(leaves, self._degree, own, level, index).matrix
+
+    @property
+    def _degree(self) -> int:
+        return round(self.corners.shape[1] ** (1 / self.index.shape[1])) - 1
 
     def inner_knots(self, tree: Tree) -> Array:
         """Inner knots of the splines (m), shape (n, gdim, degree)."""
-        gdim, width = self.index.shape[1], 1 << (tree.levels - self.level)
-        degree = round(self.corners.shape[1] ** (1 / gdim)) - 1
+        degree, width = self._degree, 1 << (tree.levels - self.level)
         low = np.asarray(self.index * width[:, None], np.int32)
         return knots_around(tree, degree, low, width)[..., :degree]
 
@@ -127,8 +141,7 @@ class LeafSplines:
         A cell of the spline's level counts by its volume that no leaf covers. Hanging splines have
         the integral 0.
         """
-        tree, gdim = leaves.tree, self.index.shape[1]
-        degree = round(self.corners.shape[1] ** (1 / gdim)) - 1
+        tree, gdim, degree = leaves.tree, self.index.shape[1], self._degree
         found: Array = np.zeros(self.level.size)
         low, high = tree.corners(leaves.node)
         volume = np.prod(high - low, axis=1)
@@ -177,18 +190,79 @@ def _parents(table: list[Parents], index: Ints) -> tuple[npt.NDArray[np.intp], I
     return rows, parents, weights
 
 
-def _followed(
-    leaves: Leaves, degree: int, level: Ints, index: Ints
-) -> tuple[npt.NDArray[np.bool_], sparse.csr_matrix]:
-    """Mask of the hanging splines, and the matrix of their coefficients."""
+@dataclass(frozen=True)
+class _Coefficients:
+    """Coefficients of some splines from those of the independent splines of leaves.
+
+    Attributes:
+        hanging: Mask of the splines that hang, shape (n,).
+        matrix: The coefficients, shape (n, splines of leaves).
+    """
+
+    hanging: npt.NDArray[np.bool_]
+    matrix: sparse.csr_matrix
+
+
+def _coefficients(
+    leaves: Leaves, degree: int, own: tuple[Ints, Ints], level: Ints, index: Ints
+) -> _Coefficients:
+    """Coefficients of splines of any level and position.
+
+    Args:
+        leaves: The leaves.
+        degree: Degree of the splines.
+        own: Levels and positions of all splines of the leaves.
+        level, index: Those of the splines asked for.
+    """
     from scipy import sparse
 
-    tree, n = leaves.tree, level.size
+    tree, n = leaves.tree, own[0].size
+    asked = [np.flatnonzero(level == k) for k in range(tree.levels + 1)]
+    wanted, masks, tables = _ancestors(leaves, degree, [index[rows] for rows in asked])
+    hanging: npt.NDArray[np.bool_] = np.zeros(level.size, bool)
+    before: npt.NDArray[np.int64] = np.empty(0, np.int64)
+    coarser = sparse.csr_matrix((0, n))
+    pieces = []
+    for k in range(tree.levels + 1):
+        extent = _numbers(tree, degree, k)
+        keys: npt.NDArray[np.int64] = _keys(wanted[k], extent)
+        free, hangs = np.flatnonzero(~masks[k]), np.flatnonzero(masks[k])
+        at = np.flatnonzero(own[0] == k)
+        known = _keys(own[1][at], extent)
+        order = np.argsort(known)
+        # an independent spline is one of the leaves
+        column = at[order[np.searchsorted(known[order], keys[free])]]
+        data = np.ones(free.size), (free, column)
+        rows = sparse.csr_matrix(data, shape=(keys.size, n))
+        if hangs.size:
+            row, parents, weights = _parents(tables[k - 1], wanted[k][hangs])
+            column = np.searchsorted(before, _keys(parents, _numbers(tree, degree, k - 1)))
+            shape = keys.size, before.size
+            rows = rows + sparse.csr_matrix((weights, (hangs[row], column)), shape) @ coarser
+        mine = np.searchsorted(keys, _keys(index[asked[k]], extent))
+        hanging[asked[k]] = masks[k][mine]
+        pieces.append(rows[mine])
+        coarser, before = rows.tocsr(), keys
+    matrix = sparse.vstack(pieces).tocsr()[np.argsort(np.concatenate(asked), kind="stable")]
+    matrix.sort_indices()
+    return _Coefficients(hanging, matrix)
+
+
+def _ancestors(
+    leaves: Leaves, degree: int, wanted: list[Ints]
+) -> tuple[list[Ints], list[npt.NDArray[np.bool_]], list[list[Parents]]]:
+    """Splines of each level with all that they follow, masks of those that hang, and parents.
+
+    Args:
+        leaves: The leaves.
+        degree: Degree of the splines.
+        wanted: Positions of splines of each level.
+    """
+    tree = leaves.tree
     _, _, levels, *search = tree.search
-    lines: list[Array] = [tree.coordinates(_along(tree, d))[:, d] for d in range(index.shape[1])]
-    # splines of each level: those of leaves, and parents of hanging ones of the finer level
-    own = [np.flatnonzero(level == k) for k in range(levels + 1)]
-    wanted: list[Ints] = [index[rows] for rows in own]
+    lines: list[Array] = [
+        tree.coordinates(_along(tree, d))[:, d] for d in range(leaves.low.shape[1])
+    ]
     masks: list[npt.NDArray[np.bool_]] = []
     tables: list[list[Parents]] = []
     for k in range(levels, -1, -1):
@@ -203,30 +277,7 @@ def _followed(
             tables.insert(0, [table for _, table in made])
             parents = _parents(tables[0], wanted[k][hangs])[1]
             wanted[k - 1] = np.vstack([wanted[k - 1], parents]).astype(np.int32)
-    hanging: npt.NDArray[np.bool_] = np.zeros(n, bool)
-    before: npt.NDArray[np.int64] = np.empty(0, np.int64)
-    coarser = sparse.csr_matrix((0, n))
-    pieces = []
-    for k in range(levels + 1):
-        extent = _numbers(tree, degree, k)
-        keys: npt.NDArray[np.int64] = _keys(wanted[k], extent)
-        free, hanging_rows = np.flatnonzero(~masks[k]), np.flatnonzero(masks[k])
-        mine = np.searchsorted(keys, _keys(index[own[k]], extent))
-        number: npt.NDArray[np.int64] = np.full(keys.size, -1, np.int64)
-        number[mine] = own[k]
-        data = np.ones(free.size), (free, number[free])
-        rows = sparse.csr_matrix(data, shape=(keys.size, n))
-        if hanging_rows.size:
-            row, parents, weights = _parents(tables[k - 1], wanted[k][hanging_rows])
-            column = np.searchsorted(before, _keys(parents, _numbers(tree, degree, k - 1)))
-            shape = keys.size, before.size
-            rows = rows + sparse.csr_matrix((weights, (hanging_rows[row], column)), shape) @ coarser
-        hanging[own[k]] = masks[k][mine]
-        pieces.append(rows[mine])
-        coarser, before = rows.tocsr(), keys
-    matrix = sparse.vstack(pieces).tocsr()[np.argsort(np.concatenate(own), kind="stable")]
-    matrix.sort_indices()
-    return hanging, matrix
+    return wanted, masks, tables
 
 
 def _keys(index: Ints, extent: tuple[int, ...]) -> npt.NDArray[np.int64]:

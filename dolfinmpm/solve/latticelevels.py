@@ -25,7 +25,7 @@ from dolfinmpm.solve.interpolations import (
     lattice_family,
     next_level,
 )
-from dolfinmpm.solve.leaflevels import FamilyOf, leaf_families
+from dolfinmpm.solve.leaflevels import FamilyOf, leaf_families, spline_families
 
 __all__ = ["finest_level", "lattice_families", "levels_of", "set_levels"]
 
@@ -42,7 +42,10 @@ def finest_level(here: Activation) -> LatticeLevel:
     assert not isinstance(basis, LinearBasis)
     nodes = field.owned_nodes
     free = ~field.fixed[nodes]
-    ijk = (basis.fine if isinstance(basis, LeafBasis) else basis.halo.node_ijk)[nodes]
+    if isinstance(basis, LeafBasis):
+        ijk = (basis.fine if basis.degree == 1 else basis.levelled)[nodes]
+    else:
+        ijk = basis.halo.node_ijk[nodes]
     if unknowns.comm.size == 1:
         return LatticeLevel(ijk, free, field.blocks)
     # rows are not always with the owner of the node
@@ -110,17 +113,17 @@ def levels_of(
 def set_levels(pc: PETSc.PC, here: Activation) -> None:
     """Give PETSc's multigrid the levels of an activation. Collective.
 
-    Other meshes, splines on leaves, and several fields have one level, which factors solve.
+    Other meshes, and several fields, have one level, which factors solve.
     """
     comm, basis = here.unknowns.comm, here.fields[0].basis
     if isinstance(basis, LinearBasis) or len(here.fields) > 1:
         return
-    if isinstance(basis, LeafBasis) and basis.degree > 1:
-        return
-    families = (
-        leaf_families(basis.leaves) if isinstance(basis, LeafBasis)
-        else lattice_families(basis.lattice.lines, basis.degree)
-    )  # fmt: skip
+    lattice = lattice_families(basis.lattice.lines, basis.degree)
+    families: Iterable[FamilyOf] = lattice
+    if isinstance(basis, LeafBasis):
+        families = leaf_families(basis.leaves)
+        if basis.degree > 1:
+            families = spline_families(basis.leaves, basis.degree, lattice)
     levels = levels_of(comm, finest_level(here), families)
     pc.setMGLevels(len(levels))
     for k, P in enumerate(interpolations(comm, levels)):

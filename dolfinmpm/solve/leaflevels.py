@@ -1,23 +1,25 @@
 """Levels of multigrid on leaves: siblings are joined, with hanging nodes on each level.
 
 Functions that are continuous on the joined leaves are continuous on the leaves, too. So the spaces
-are nested, as those of a lattice.
+are nested, as those of a lattice. The same holds for hierarchical splines: from the roots on, their
+levels are those of the lattice.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm.basis.leafsplines import LeafSplines
 from dolfinmpm.grid.lattice import Lattice
 from dolfinmpm.grid.leafnodes import LeafNodes
 from dolfinmpm.grid.leaves import Leaves
 from dolfinmpm.solve.interpolations import Family
 
-__all__ = ["FamilyOf", "joined", "leaf_families"]
+__all__ = ["FamilyOf", "joined", "leaf_families", "spline_families"]
 
 Ints = npt.NDArray[np.int32]
 FamilyOf = Callable[[Ints], Family]
@@ -85,4 +87,37 @@ def _family(
     leaf = into[fine.first[np.searchsorted(numbers(fine.fine), numbers(nodes))]]
     values = (of_coarse.at(coarse, nodes, leaf) @ of_coarse.matrix).tocsr()
     keys = numbers(of_coarse.fine)[values.indices]
+    return Family(values.indptr.astype(np.int32), keys, values.data, shape)
+
+
+def spline_families(leaves: Leaves, degree: int, lattice: Iterable[FamilyOf]) -> Iterator[FamilyOf]:
+    """Functions from the splines of each level of leaves to their parents.
+
+    The integers of a spline on leaves are its level and its position, shape (n, 1 + gdim).
+
+    Args:
+        leaves: The leaves of the finest level.
+        degree: Degree of the splines.
+        lattice: Functions from the splines of the roots, and so on.
+    """
+    whole = 1 << leaves.tree.levels
+    while leaves.size.min(initial=whole) < whole:
+        leaves, _ = joined(leaves)
+        yield functools.partial(_spline_family, leaves, LeafSplines.of(leaves, degree), degree)
+    for k, family_of in enumerate(lattice):
+        yield family_of if k else functools.partial(_of_roots, family_of)
+
+
+def _of_roots(family_of: FamilyOf, nodes: Ints) -> Family:
+    """Parents of splines of the roots, which are splines of a lattice."""
+    return family_of(np.ascontiguousarray(nodes[:, 1:]))
+
+
+def _spline_family(coarse: Leaves, of_coarse: LeafSplines, degree: int, nodes: Ints) -> Family:
+    """Parents of some splines of leaves, which are independent splines of coarser leaves."""
+    tree = coarse.tree
+    values = of_coarse.at(coarse, nodes[:, 0], nodes[:, 1:])
+    shape = tree.levels + 1, *((n << tree.levels) + degree for n in tree.lattice.shape)
+    every = np.column_stack([of_coarse.level, of_coarse.index]).astype(np.int64)
+    keys = np.asarray(np.ravel_multi_index(tuple(every.T), shape), np.int64)[values.indices]
     return Family(values.indptr.astype(np.int32), keys, values.data, shape)

@@ -151,12 +151,11 @@ class QuasiStatic(Problem):
         # Several fields usually make a saddle point. A pressure on a curved surface turns with it.
         definite = len(self.fields) == 1 and all(term.definite for term in self.form.terms)
         shapes = [space.increment.ufl_shape for space in self.form.spaces]
-        space = self.form.spaces[0]
-        basis, nested = space.basis, space.refinement is None or space.basis.degree == 1
+        basis = self.form.spaces[0].basis
         tangent = Tangent(
             symmetric(self.form), definite, self.form.softened, len(shapes),
             shapes == [(points.gdim,), ()], wide=basis.averaged or basis.continuity > 0,
-            degree=basis.degree if isinstance(basis, LatticeBasis) and nested else 0,
+            degree=basis.degree if isinstance(basis, LatticeBasis) else 0,
         )  # fmt: skip
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations

@@ -11,6 +11,7 @@ from dolfinx import fem
 import dolfinmpm as mpm
 from dolfinmpm.basis.leafsplines import LeafSplines
 from dolfinmpm.grid.leafsearch import node_at
+from dolfinmpm.solve.leaflevels import joined
 
 
 def on_leaves(gdim, degree, seed=7, levels=3, cells=4):
@@ -205,3 +206,38 @@ def test_steps_in_time_on_leaves_of_one_size(run):
     several = run(4, refine=lambda x: np.where(x[0] < 1.5, 0.25, 0.5), levels=2)
     assert np.isfinite(several[0]).all()
     assert several[0][:, 1].max() == pytest.approx(fine[0][:, 1].max(), abs=0.15)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_spaces_of_joined_leaves_are_nested(degree):
+    _, basis = on_leaves(2, degree)
+    leaves = basis.leaves
+    while leaves.size.min() < 1 << leaves.tree.levels:
+        fine = LeafSplines.of(leaves, degree)
+        leaves, _ = joined(leaves)
+        coarse = LeafSplines.of(leaves, degree)
+        P = coarse.at(leaves, fine.level, fine.index)
+        # hanging splines of the fine leaves follow to the same function
+        free = np.where(fine.hanging, 0.0, 1.0)
+        assert np.abs(fine.matrix.multiply(free) @ P - P).max() < 1e-14
+        assert not coarse.hanging[P.indices].any()
+
+
+def test_multigrid_on_leaves_takes_few_iterations():
+    grid = refined.lattice(3, 6)
+    size = 0.25 * 1.01
+
+    def wanted(x):
+        return np.maximum(size, 0.3 * np.linalg.norm(x - 3.0, axis=0))
+
+    V = mpm.Space(grid, "bspline2", refine=wanted, levels=2)
+    points = mpm.fill(grid, mpm.Box((0, 0, 0), (6, 6, 4.3)), 1, 2000.0, refine=V)
+    F = mpm.momentum(mpm.materials.Hencky(1e7, 0.3), points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, 0.0, -10.0)), V.test) * points.dX
+    options = {"ksp_type": "cg", "pc_type": "mg"}
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation="ghost", petsc_options=options
+    )
+    record = problem.step()
+    assert problem.newton.linear.snes.getKSP().getPC().getMGLevels() >= 4
+    assert max(record.linear_iterations) <= 20

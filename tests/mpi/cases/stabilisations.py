@@ -97,7 +97,7 @@ def lattice_multigrid():
     figures = {}
     for basis, kind, levels in (
         ("gimp", "ghost", 0), ("linear", "aggregation", 0), ("bspline2", "ghost", 0),
-        ("gimp", "ghost", 2), ("linear", "aggregation", 2),
+        ("gimp", "ghost", 2), ("linear", "aggregation", 2), ("bspline2", "ghost", 2),
     ):  # fmt: skip
         grid = mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (36, 36), mesh.CellType.quadrilateral)
         refined = {"refine": lambda x: 0.05 + 0.1 * np.hypot(*(x[:2] - 4.0)), "levels": levels}
