@@ -131,13 +131,16 @@ def test_patch_on_many_random_leaves(seed):
     assert refined.patched(2 + seed % 2, "bspline2", seed, top, kind) < 1e-12
 
 
-def settled(basis, cells, averaged=True, **options):
+def settled(basis, cells, averaged=True, axisymmetric=False, **options):
     """Points of a block on a rough base, part of it cut, after two steps of its weight."""
     grid = refined.lattice(2, 4) if cells == 4 else mpm.create_lattice(
         refined.MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2
     )  # fmt: skip
     V = mpm.Space(grid, basis, averaged=averaged, **options)
-    points = mpm.fill(grid, mpm.Box((0, 0), (2.9, 2.3)), per_cell=2, density=2000.0, refine=V)
+    points = mpm.fill(
+        grid, mpm.Box((0, 0), (2.9, 2.3)), per_cell=2, density=2000.0, refine=V,
+        axisymmetric=axisymmetric,
+    )  # fmt: skip
     u, v = V.increment, V.test
     load = fem.Constant(grid, (0.0, -5.0))
     F = mpm.momentum(mpm.materials.VonMises(2e6, 0.3, yield_stress=4e4), points, u, v)
@@ -153,10 +156,13 @@ def settled(basis, cells, averaged=True, **options):
 
 
 @pytest.mark.parametrize("basis", ["bspline2", "bspline3"])
-@pytest.mark.parametrize("averaged", [True, False])
-def test_leaves_of_one_size_are_a_finer_grid(basis, averaged):
-    one = settled(basis, 4, averaged, refine=lambda x: np.full(x.shape[1], 0.5), levels=1)
-    np.testing.assert_allclose(one, settled(basis, 8, averaged), rtol=0, atol=2e-8)
+@pytest.mark.parametrize(
+    ("averaged", "axisymmetric"), [(True, False), (False, False), (True, True)]
+)
+def test_leaves_of_one_size_are_a_finer_grid(basis, averaged, axisymmetric):
+    kind = averaged, axisymmetric
+    one = settled(basis, 4, *kind, refine=lambda x: np.full(x.shape[1], 0.5), levels=1)
+    np.testing.assert_allclose(one, settled(basis, 8, *kind), rtol=0, atol=2e-8)
 
 
 def swung(cells, **options):
