@@ -223,7 +223,7 @@ class LinearSolver:
         method = self.method
         assert method is not None
         if self.reuse is not None and self.reuse.old:
-            self.reuse.renew()
+            self.reuse.distrust()
             return True
         if not self.choice.failed(method, self.reuse):
             return False

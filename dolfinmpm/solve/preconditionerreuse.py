@@ -27,6 +27,9 @@ _NANOSECONDS = {
 # multigrid of all kinds, and the user's choice
 _OTHERWISE = (0.6, 1.0, 40.0)
 
+# Half the number of set-ups before a preconditioner is kept again, after one has failed
+_FRESH_ONES = 16
+
 
 def solution_cost(pc: PETSc.PC, flops: float) -> float:
     """Cost of a solution on one rank (ns).
@@ -99,6 +102,16 @@ class PreconditionerReuse:
     def renew(self) -> None:
         """Make a new preconditioner next, at any cost."""
         self._last = math.inf
+
+    def distrust(self) -> None:
+        """Make new preconditioners for some time, because iterations with an old one failed.
+
+        Newton's method begins again then. If it kept the first new preconditioner, it might fail
+        in the same way for ever.
+        """
+        self.renew()
+        self._next = min(2 * max(self._next, _FRESH_ONES), 8 * _FRESH_ONES)
+        self._wait = self._next
 
     def prepare(self, ksp: PETSc.KSP, before: Callable[[], None] | None = None) -> None:
         """Keep or renew the preconditioner of a solver with a new matrix. Collective.

@@ -85,6 +85,22 @@ def test_what_a_new_matrix_ends_is_tried_again(monkeypatch):
         reuse.renew()
 
 
+def test_what_failed_is_not_kept_again_in_the_next_iterations(monkeypatch):
+    """Newton's method that begins again must not fail in the same way for ever."""
+    monkeypatch.setattr(reuse_module, "setup_cost", lambda pc, flops: 8e3)
+    reuse, ksp = PreconditionerReuse(MPI.COMM_SELF), Counted()
+    for failures, fresh in ((1, 32), (2, 64)):
+        for _ in range(2):
+            reuse.prepare(ksp)
+            ksp.solve(reuse, 1e3)
+        assert reuse.old, failures
+        reuse.distrust()
+        for _ in range(fresh):
+            reuse.prepare(ksp)
+            assert not reuse.old
+            ksp.solve(reuse, 1e3)
+
+
 @pytest.mark.parametrize("after", [0.0, math.inf, math.nan])
 def test_residuals_that_are_no_numbers_count_no_digits(monkeypatch, after):
     monkeypatch.setattr(reuse_module, "setup_cost", lambda pc, flops: 0.0)
