@@ -37,8 +37,8 @@
 # balance is to 1e-6. After 0.25 m, in steps of 25 mm, the pull is 145 and 126 kN and the heap 0.19
 # and 0.15 m in cells of 0.25 and 0.125 m, with 5.3 and 7.2 iterations a step. With `--ghost 0.1`
 # it is 136 and 119 kN, with 9.2 and 15.4: sand that falls into the trench behind the share is at
-# the apex of the yield surface, where the tangent is zero. In cells of 0.0625 m the first step, at
-# rest, fails.
+# the apex of the yield surface, where the tangent is zero. In cells of 0.0625 m (`--step 0.2`) a
+# step takes 13 iterations, and a minute.
 
 # %%
 from __future__ import annotations
