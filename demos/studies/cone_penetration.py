@@ -14,8 +14,7 @@
 #
 # With `--refine`, cells of the size h follow the tip alone; points split and merge with them, and
 # keep the mean volumes of F-bar. Ghost factor and penalty are smaller. It is 5.2, 4.7 and 5.2 % too
-# much after 8 R with R/4, R/8, R/16, and grows (`cone_factors.py`). With `--basis bspline2` it is
-# 3.0 and 3.5 % with R/4, R/8, in 10 and 21 iterations a step.
+# much after 8 R with R/4, R/8, R/16, and grows; 3.0 and 3.5 % with R/4, R/8 of `--basis bspline2`.
 #
 # The cone is wished in place at first, with its tip `--start` deep, and gaps of half a point close
 # within the first steps. Domains of points shrink with their volume and keep their axes: under the
