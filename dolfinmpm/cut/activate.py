@@ -118,7 +118,7 @@ def _boundaries(
 def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
     """Active nodes owned by this rank, in the numbering of the field's space.
 
-    With leaves these are the corners of the grid's cells that contain active leaves.
+    With leaves these are the nodes of the grid's cells that contain active leaves.
     """
     basis, base = field.basis, field.space.basis
     if isinstance(basis, LeafBasis):
@@ -126,8 +126,8 @@ def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
         cells = np.flatnonzero(field.cells)
         roots = np.unique(basis.leaves.low[basis.leaf[cells]] >> basis.leaves.tree.levels, axis=0)
         flags, table = np.zeros(base.nodes.size, bool), base.halo.node_table
-        for corner in np.ndindex(*(2,) * roots.shape[1]):
-            at = roots - base.halo.origin + np.array(corner, np.int32)
+        for offset in np.ndindex(*(base.degree + 1,) * roots.shape[1]):
+            at = roots - base.halo.origin + np.array(offset, np.int32)
             at = at[np.all((at >= 0) & (at < table.shape), axis=1)]
             found = table[tuple(at.T)]
             flags[found[found >= 0]] = True
