@@ -127,8 +127,9 @@ ROWS = (
         "leaves over those of a uniform grid with the same error (%)",
         each("refinement", "--parts footing"), _leaf_footing,
         "{:.2f}, {:.0f}; {:.2f}, {:.0f}; {:.2f}, {:.0f}; {:.2g}", "exact: 0"),
-    Row("leaf-cone", LEAVES, "smooth cone, 2 R down in Tresca clay: unknowns of uniform cells of R/4 "
-        "over those of leaves of R/4; of graded lines over those of leaves of R/8 for the same error",
+    Row("leaf-cone", LEAVES, "smooth cone, 2 R down in Tresca clay: unknowns of uniform cells of "
+        "R/4 over those of leaves of R/4; of graded lines over those of leaves of R/8 for the same "
+        "error",
         each("refinement", "--parts cone"), _leaf_cone, "{:.3g}; {:.2g}"),
     Row("leaf-column", LEAVES, "column under its weight, leaves half as large in its lowest "
         "quarter: unknowns over those of a uniform grid with the same error (%)",
