@@ -131,7 +131,7 @@ def test_patch_on_many_random_leaves(seed):
     assert refined.patched(2 + seed % 2, "bspline2", seed, top, kind) < 1e-12
 
 
-def settled(basis, cells, averaged=True, axisymmetric=False, **options):
+def settled(basis, cells, averaged=True, axisymmetric=False, stabilisation="ghost", **options):
     """Points of a block on a rough base, part of it cut, after two steps of its weight."""
     grid = refined.lattice(2, 4) if cells == 4 else mpm.create_lattice(
         refined.MPI.COMM_SELF, [np.linspace(0, 4, cells + 1)] * 2
@@ -146,9 +146,7 @@ def settled(basis, cells, averaged=True, axisymmetric=False, **options):
     F = mpm.momentum(mpm.materials.VonMises(2e6, 0.3, yield_stress=4e4), points, u, v)
     F -= ufl.inner(points.density * load, v) * points.dX
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(
-        F, u, points, bcs, stabilisation=options.pop("stabilisation", "ghost"), tolerance=1e-9
-    )
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation, tolerance=1e-9)
     for g in (-5.0, -9.0):
         load.value[1] = g
         problem.step()
@@ -247,3 +245,11 @@ def test_multigrid_on_leaves_takes_few_iterations():
     record = problem.step()
     assert problem.newton.linear.snes.getKSP().getPC().getMGLevels() >= 4
     assert max(record.linear_iterations) <= 20
+
+
+def test_soft_stiffness_is_refused():
+    with pytest.raises(mpm.errors.UnsupportedGridError, match="does not know splines on leaves"):
+        settled(
+            "bspline2", 4, stabilisation=mpm.Stabilisation("soft", E=2e6, nu=0.3),
+            refine=lambda x: np.full(x.shape[1], 0.5), levels=1,
+        )  # fmt: skip
