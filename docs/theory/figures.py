@@ -364,11 +364,8 @@ def leaves() -> None:
 def hierarchical() -> None:
     """Quadratic splines on leaves of three sizes in 1D."""
     grid = mesh.create_interval(COMM, 8, (0.0, 8.0))
-
-    def size(x: np.ndarray) -> np.ndarray:
-        return np.maximum(0.25, 0.5 * np.abs(x[0] - 4.0)) * 1.001
-
-    V = mpm.Space(grid, "bspline2", refine=size, levels=2)
+    wanted = {"refine": lambda x: 0.2503 + 0.4 * np.abs(x[0] - 4.0), "levels": 2}
+    V = mpm.Space(grid, "bspline2", **wanted)
     points = mpm.fill(grid, mpm.Box((0,), (8,)), per_cell=2, density=1.0, refine=V)
     law = mpm.materials.Hencky(E=1.0, nu=0.0)
     F = mpm.momentum(law, points, V.increment, V.test)
@@ -379,22 +376,17 @@ def hierarchical() -> None:
     values = (N @ basis.hanging).toarray()
     print(f"{len(low)} leaves, {(~basis.hangs).sum()} splines, sum {values.sum(axis=1).min():.15f}")
     with mpm.figure(HERE / "hierarchical.svg", 5.6, 1.9) as (_, ax):
-        names = set()
-        for a in np.flatnonzero(~basis.hangs):
-            level = int(basis.levelled[a, 0])
-            label = f"cells of {2.0**-level:g}" if level not in names else None
-            names.add(level)
-            some = values[:, a] > 0
-            ax.plot(x[rows, 0][some], values[some, a], color=f"C{level}", lw=1.0, label=label)
+        for level in range(3):
+            own = values[:, ~basis.hangs & (basis.levelled[:, 0] == level)]
+            lines = ax.plot(x[rows, 0], np.where(own > 0, own, np.nan), color=f"C{level}", lw=1.0)
+            lines[0].set_label(f"cells of {2.0**-level:g}")
         ends = np.unique(np.concatenate([low[:, 0], high[:, 0]]))
         ax.vlines(ends, -0.06, 0, color="0.3", lw=0.8)
         ax.set(xlim=(0, 8), ylim=(-0.06, 1.25), xlabel="$x$", ylabel="splines")
         ax.legend(loc="upper center", ncols=3)
 
 
-PARTS = (
-    active, bases, cuts, shear, locking, mappings, newton, tangents, costs, leaves, hierarchical,
-)  # fmt: skip
+PARTS = active, bases, cuts, shear, locking, mappings, newton, tangents, costs, leaves, hierarchical
 PICTURES = {f.__name__: f for f in PARTS}
 
 if __name__ == "__main__":

@@ -12,41 +12,11 @@ import math
 import numba
 import numpy as np
 
+from dolfinmpm.basis.bspline import spline_weights
 from dolfinmpm.basis.leafstencils import place
 from dolfinmpm.grid.linecells import SNAP
 
-__all__ = ["fill_spline_stencils", "knot_weights", "leaf_integrals"]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def knot_weights(knots, degree, x, S, dS):
-    """Values and slopes (1/m) at x of the splines between the middle two of some knots.
-
-    Args:
-        knots: The knots (m), 2 degree numbers.
-        degree: Degree of the splines.
-        x: Position (m).
-        S, dS: Written: values (-) and slopes (1/m), degree + 1 numbers each (Cox & de Boor).
-    """
-    for i in range(degree + 1):
-        S[i] = 1.0 if i == 0 else 0.0
-        dS[i] = 0.0
-    for k in range(1, degree + 1):
-        if k == degree:
-            for i in range(degree + 1):
-                slope = 0.0
-                if i > 0:
-                    slope += S[i - 1] / (knots[i - 1 + degree] - knots[i - 1])
-                if i < degree:
-                    slope -= S[i] / (knots[i + degree] - knots[i])
-                dS[i] = degree * slope
-        saved = 0.0
-        for i in range(k):
-            right, left = knots[degree + i], knots[degree - k + i]
-            share = S[i] / (right - left)
-            S[i] = saved + (right - x) * share
-            saved = (x - left) * share
-        S[k] = saved
+__all__ = ["fill_spline_stencils", "leaf_integrals"]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -60,13 +30,14 @@ def _average(knots, degree, x, half, S, dS, dR, part, slope):
         dR: Written: averages of the slopes times the coordinate (-).
         part, slope: Scratch arrays, degree + 1 numbers each.
     """
+    # around a leaf, the knots are a line of which the leaf is the middle cell
     a, b = knots[degree - 1], knots[degree]
     if half == 0.0:
         if abs(x - a) < SNAP * (b - a):
             x = a
         if abs(x - b) < SNAP * (b - a):
             x = b
-        knot_weights(knots, degree, x, S, dS)
+        spline_weights(knots, degree - 1, degree, x, S, dS)
         for i in range(degree + 1):
             dR[i] = x * dS[i]
         return 1.0, x
@@ -76,7 +47,7 @@ def _average(knots, degree, x, half, S, dS, dR, part, slope):
         S[i] = dS[i] = dR[i] = 0.0
     for side in range(2):
         at = middle - reach if side == 0 else middle + reach
-        knot_weights(knots, degree, at, part, slope)
+        spline_weights(knots, degree - 1, degree, at, part, slope)
         for i in range(degree + 1):
             S[i] += 0.5 * part[i]
             dS[i] += 0.5 * slope[i]
