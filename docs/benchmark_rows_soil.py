@@ -388,7 +388,7 @@ ROWS = (
         "{:.2f}, {:.2f}, {:.2f}; {:.0f}"),
     Row("indentation", PARAMETERS, "indentation of saturated ground, cells of 0.5 m: stiffness "
         "(kN/m); error of its derivative by dimensions; force with the modulus found in one step "
-        "over the measured one, less 1", each("indentation", "--unchecked"),
+        "over the measured one, less 1", each("indentation", "--checked E"),
         lambda a: [a["stiffness"] / 1e3, a["by_dimensions"], abs(a["missed"])],
         "{:.0f}; {:.0e}; {:.0e}", "GeoWarp, cells of 0.25 m: 1357; 0; 0"),
 )  # fmt: skip
