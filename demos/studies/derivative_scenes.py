@@ -252,7 +252,7 @@ def swing(m, problem=mpm.Newmark, steps=8, dimension=1, **options):
     return Run(time, in_time(time, times), measured)
 
 
-def sliding(m, steps=6):
+def sliding(m, steps=6, problem=mpm.Newmark):
     """A block on a rigid plane slides against friction, in time."""
     grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(-0.25, 2, 10), np.linspace(-0.25, 1, 6)])
     points = mpm.fill(grid, mpm.Box((0, 0), (1.0, 0.5)), 2, m["density"])
@@ -263,7 +263,8 @@ def sliding(m, steps=6):
     F -= ufl.inner(points.density * g, v) * points.dX
     slope = mpm.RigidBody(mpm.Plane((0, 35e-6), (0, 1)), name="slope")
     F += mpm.contact(slope, points, u, v, friction=m["friction"], stiffness_per_area=1e8)
-    problem = mpm.Newmark(F, u, points, stabilisation="ghost", tolerance=TIGHT)
+    implicit = {"stabilisation": "ghost", "tolerance": TIGHT}
+    problem = problem(F, u, points, **(implicit if problem is mpm.Newmark else {}))
     measured = {"motion": motion_of(points), "force": lambda: slope.force}
     return Run(problem, in_time(problem, [0.01 * (k + 1) for k in range(steps)]), measured)
 
@@ -340,6 +341,10 @@ CASES = {
     "Newmark": (swing, BAR),
     "generalised-α, 2D": (partial(swing, problem=mpm.GeneralisedAlpha, dimension=2), BAR),
     "sliding block": (sliding, {"E": 1e6, "density": 1000.0, "friction": 0.3}),
+    "sliding block, explicit": (
+        partial(sliding, problem=mpm.Explicit),
+        {"E": 1e6, "density": 1000.0, "friction": 0.3},
+    ),
     "arc length": (arch, {"E": 1e6, "nu": 0.2}),
     "displacement control": (partial(arch, control="displacement"), {"E": 1e6, "nu": 0.2}),
     "explicit": (partial(swing, problem=mpm.Explicit), BAR),

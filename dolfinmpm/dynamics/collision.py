@@ -39,7 +39,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.dynamics.nodalstates import NodalStates
+from dolfinmpm.dynamics.kinks import COLLIDING, Kinks
 
 __all__ = ["BodyAtNodes", "Collision", "NodalContact"]
 
@@ -127,14 +127,14 @@ class NodalContact:
         bodies: The bodies.
         room: Integrals of the nodes' functions (m^d), shape (nodes,), or None without a gap test.
         friction: μ.
-        states: Where the states of the nodes are kept, or None.
+        kinks: Where the nodes that touch and slip are kept, or None.
     """
 
     def __init__(
         self, bodies: Sequence[BodyAtNodes], room: Array | None, friction: float,
-        states: NodalStates | None = None,
+        kinks: Kinks | None = None,
     ):  # fmt: skip
-        self._bodies, self._friction, self._states = bodies, friction, states
+        self._bodies, self._friction, self._kinks = bodies, friction, kinks
         self._pairs: list[tuple[int, int, npt.NDArray[np.intp], Array, Array, Array]] = []
         for i, j in combinations(range(len(bodies)), 2):
             a, b = bodies[i], bodies[j]
@@ -190,11 +190,12 @@ class NodalContact:
             normal = np.maximum(normal, 0.0)
             size = np.linalg.norm(along, axis=1, keepdims=True)
             rubs = np.minimum(self._friction * normal, size)
-            if self._states is not None:
+            if self._kinks is not None:
                 speed = max(float(np.abs(V).max(initial=0.0)) for V in before)
                 # without friction all nodes slip at all times
                 slips = (size - rubs if self._friction else 0.0 * size) / shared
-                self._states.add(k, (normal / shared)[:, 0], slips[:, 0], speed)
+                approach = (normal / shared)[:, 0]
+                self._kinks.add_nodes(COLLIDING, k, approach, slips[:, 0], speed)
             new = normal * n + along * (rubs / np.where(size > 0.0, size, 1.0))
             more = new + ahead * (new - impulse) - at
             impulse[:] = new

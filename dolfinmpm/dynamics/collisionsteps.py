@@ -24,7 +24,6 @@ from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.dynamics.halfstep import lateness, mapping_loss
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.nodalstates import NodalStates
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
@@ -87,14 +86,12 @@ class CollisionSteps(ExplicitBase):
 
     Attributes:
         force: Mean force of the other bodies on the first body in the last step (N), shape (d,).
-        states: Which nodes touch and slip; None unless somebody asks for them.
     """
 
     def __init__(self, problem: Problem, settings: Settings, sides: Sides, collision: Collision):
         super().__init__(problem, settings, sides, "bodies collide")
         self._collision, self._loads = collision, FusedLoads(problem.form)
         self.force: Array = np.zeros(problem.points.gdim)
-        self.states: NodalStates | None = None
 
     @stages.commit
     def _take(self, step: Step, kick: float) -> int | str:
@@ -187,13 +184,13 @@ class CollisionSteps(ExplicitBase):
         """The nodes at which bodies touch."""
         basis, room = here.fields[0].basis, None
         assert isinstance(basis, LatticeBasis)
-        if self.states is not None:
-            self.states.begin_step(basis)
+        if self.kinks is not None:
+            self.kinks.begin_step(basis)
         if self._collision.gap_test:
             room = np.ones(basis.nodes.size)
             for k, line in enumerate(basis.lattice.lines):
                 room *= integrals(line, basis.degree)[basis.halo.node_ijk[:, k]]
-        return NodalContact(bodies, room, self._collision.friction, self.states)
+        return NodalContact(bodies, room, self._collision.friction, self.kinks)
 
     @stages.assemble
     def _exchange_mapped(
@@ -241,7 +238,7 @@ class CollisionSteps(ExplicitBase):
         Returns:
             Work of the prescribed motions at nodes of this rank (J).
         """  # fmt: skip
-        faces, unknowns = self._sides.on(here.fields[0].basis), here.unknowns.fields[0]
+        faces, unknowns = self.sides.on(here.fields[0].basis), here.unknowns.fields[0]
         fixed, moving = unknowns.fixed, np.zeros_like(unknowns.fixed)
         if here.driven:
             own = unknowns.owned_nodes
@@ -249,7 +246,7 @@ class CollisionSteps(ExplicitBase):
         work = 0.0
         for body, V in zip(bodies, velocities):
             if faces is not None:
-                faces.rub(V)
+                faces.rub(V, self.kinks)
             m = np.broadcast_to(body.mass[:, None], V.shape)[moving]
             work += float(np.sum(m * (held[moving] - V[moving]) * held[moving]))
             V[fixed] = held[fixed]
@@ -263,7 +260,7 @@ class CollisionSteps(ExplicitBase):
         dt: float,
     ) -> None:
         """Apply dashpots. Bodies at one node share a dashpot in proportion to their masses."""
-        faces = self._sides.on(here.fields[0].basis)
+        faces = self.sides.on(here.fields[0].basis)
         if faces is None or faces.dashpots is None:
             return
         m = sum(body.mass for body in bodies)

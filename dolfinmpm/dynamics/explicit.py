@@ -43,10 +43,10 @@ from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
 from dolfinmpm.dynamics.fused import FusedSteps
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import GeneralSteps
+from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.nodalstates import NodalStates
 from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.smallmass import check_leaves
 from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
@@ -230,12 +230,20 @@ class Explicit(MovingBody, Problem):
             return np.zeros(self.points.gdim)
         return self._loop.force
 
-    def watch_collision(self) -> NodalStates | None:
-        """Keep which nodes of a `Collision` touch and slip from now on; None without one."""
-        if not isinstance(self._loop, CollisionSteps):
+    def watch_kinks(self) -> Kinks | None:
+        """Keep where the steps are not smooth from now on; None where they are.
+
+        Fused steps cannot tell, so general steps take their place.
+        """
+        settings, collides = self.settings, isinstance(self._loop, CollisionSteps)
+        resists = settings.damping or settings.viscosity != (0.0, 0.0)
+        if not (collides or self._loop.sides.rubbing or self.bodies.contacts or resists):
             return None
-        self._loop.states = self._loop.states or NodalStates()
-        return self._loop.states
+        if isinstance(self._loop, FusedSteps):
+            why = "it is watched where steps are not smooth"
+            self._loop = GeneralSteps(self, settings, self._loop.sides, why)
+        self._loop.kinks = self._loop.kinks or Kinks()
+        return self._loop.kinks
 
     @property
     def ledger(self) -> Ledger:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.solve.step import Step
@@ -30,7 +31,8 @@ class ExplicitBase(ABC):
 
     Attributes:
         at_once: Largest number of steps per call.
-        instead: The argument.
+        sides, instead: The arguments.
+        kinks: Where the steps are not smooth; None unless somebody asks for it.
         keeps_speed: Whether the critical step follows from the points' fields alone. Steps that
             are not fused find the critical step in every call.
     """
@@ -39,8 +41,9 @@ class ExplicitBase(ABC):
 
     def __init__(self, problem: Any, settings: Settings, sides: Sides, instead: str):
         self._problem, self._settings = problem, settings
-        self._sides, self.instead = sides, instead
+        self.sides, self.instead = sides, instead
         self._work = Work()
+        self.kinks: Kinks | None = None
 
     def work(self) -> Work:
         """Works and losses since the last call of this method."""

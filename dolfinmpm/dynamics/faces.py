@@ -334,6 +334,11 @@ class Sides:
         return len(self._faces)
 
     @property
+    def rubbing(self) -> bool:
+        """Whether bodies touch and leave a face, and rub along it."""
+        return any(face.friction is not None for face in self._faces)
+
+    @property
     def incoming(self) -> bool:
         """Whether waves come in through a face."""
         return any(face.incoming is not None for face in self._faces) or _beside(self._faces)

@@ -12,6 +12,7 @@ from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 from dolfinmpm.dynamics.incomingwaves import IncomingWaves
+from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks
 from dolfinmpm.dynamics.sideareas import areas, radii
 
 __all__ = ["Faces"]
@@ -122,12 +123,14 @@ class Faces:
             dashpots[place[place >= 0]] = self.dashpots[place >= 0]
         return marks, rubbing, dashpots
 
-    def rub(self, V: Array) -> None:
+    def rub(self, V: Array, kinks: Kinks | None = None) -> None:
         """Stop nodes that would move out, and apply friction to sliding nodes.
 
         Args:
             V: Velocities at the end of a step (m/s), shape (nodes, at least d). Changed.
+            kinks: Where the nodes that touch and slip are kept, or None.
         """
+        speed = 0.0 if kinks is None else float(np.abs(V).max(initial=0.0))
         for rows, axis, outward, mu in self._rubbing:
             out = outward * V[rows, axis]
             rows, out = rows[out > 0], out[out > 0]
@@ -135,5 +138,7 @@ class Faces:
             along = [k for k in range(V.shape[1]) if k != axis]
             sliding = np.sqrt(sum(V[rows, k] ** 2 for k in along)) if along else out
             left = np.maximum(0.0, 1.0 - mu * out / np.maximum(sliding, 1e-300))
+            if kinks is not None:
+                kinks.add_nodes(AT_SIDES, rows, out, sliding * left if mu else 0.0 * out, speed)
             for k in along:
                 V[rows, k] *= left

@@ -80,6 +80,7 @@ class FusedSteps:
             grid (J), lateness of the last velocities (J) and loss by the mapping (J), see `Work`.
         at_once: Largest number of steps per call.
         instead: Reason for other steps: empty, because these steps are fused.
+        sides: The argument.
     """
 
     at_once, instead = 20, ""
@@ -100,7 +101,7 @@ class FusedSteps:
     ):
         self._rigid = rigid
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
-        self._settings, self._sides = settings, sides
+        self._settings, self.sides = settings, sides
         self._prescribed = Prescribed(held)
         self.done = np.zeros(8)
         self._rate, self._worth = 0.0, Worth()
@@ -156,7 +157,7 @@ class FusedSteps:
         """Make a window around the cells computed by this rank. Collective."""
         points = self._points
         if self._window is None or self._window.basis.partition is not points.partition:
-            self._window, self._worth.kept = Window(points, self._basis, self._sides), False
+            self._window, self._worth.kept = Window(points, self._basis, self.sides), False
             if self._laws.fbar:
                 self._means = WindowMeans(self._window)
         self._window.cells.sort(points)
@@ -347,7 +348,7 @@ class FusedSteps:
         if rigid is not None:
             rigid.begin(dt, kick, usf)
         # only forces make the points' acceleration, not prescribed motions of nodes
-        apart = record and (prescribed.driven or len(self._sides) > 0)
+        apart = record and (prescribed.driven or len(self.sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
             divide(box, columns, out, 0, nodes, fixed, before, *weight, False)

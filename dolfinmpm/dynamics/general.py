@@ -100,6 +100,7 @@ class GeneralSteps(ExplicitBase):
             return forces
         if held_by is not None:
             forces.arrays[0][:] -= held_by
+        self._watch(operator, False)
         problem.bodies.push(problem.bodies.acting(operator), kick)
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
@@ -119,6 +120,7 @@ class GeneralSteps(ExplicitBase):
         state = new_state(problem, operator, x=moved)
         if isinstance(state, str):
             return state
+        self._watch(operator, True)
         self._work.external += self._external(operator, mass, forces, V, V_end, V_move, step, kick)
         self._work.external += self._work_of_boundaries(mass, here, held_by, dt * V_strain)
         self._work.add_stresses(points, state.fields, operator)
@@ -132,6 +134,14 @@ class GeneralSteps(ExplicitBase):
         self._find_lateness(operator, net, grid)
         self._work.external += problem.bodies.commit(problem.bodies.acting(operator))
         return commit(points, state)
+
+    def _watch(self, operator: Operator, ends: bool) -> None:
+        """Keep which corners touch rigid bodies at an end of a step, if somebody asks for it."""
+        if self.kinks is not None:
+            if not ends:
+                self.kinks.begin_step(operator.here.fields[0].basis)
+            for active in self._problem.bodies.acting(operator):
+                self.kinks.add_corners(active, ends)
 
     def _to_points(
         self,
@@ -262,6 +272,8 @@ class GeneralSteps(ExplicitBase):
             viscous = mass.nodal()
             sizes = cell_sizes_at(points, self._problem.fields[0].space)
             pressure = viscous_pressure(points, s, V, b, speeds, sizes)
+            if self.kinks is not None:
+                self.kinks.add_closing(points["id"], pressure[:, 0, 0])
             scatter_tensor(points, s, pressure, viscous.arrays[0])
             viscous.add_up()
             forces.arrays[0][:] -= viscous.arrays[0]
@@ -276,6 +288,8 @@ class GeneralSteps(ExplicitBase):
         if damping:
             f = forces.arrays[0]
             damped = damping * np.abs(f) * np.sign(V)
+            if self.kinks is not None:
+                self.kinks.add_damped(V)
             f -= damped
             self._resisting["damping"] = damped
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
@@ -291,14 +305,14 @@ class GeneralSteps(ExplicitBase):
         """
         V, A = motion
         V_end = V + dt * A
-        faces = self._sides.on(here.fields[0].basis, t)
+        faces = self.sides.on(here.fields[0].basis, t)
         fixed = here.unknowns.fields[0].fixed
         if faces is not None and faces.dashpots is not None:
             V_end[fixed] = held[fixed]
             V_end = self._damped(V, V_end, mass, here, faces, dt, t)
         if faces is not None:
             free = V_end.copy()
-            faces.rub(V_end)
+            faces.rub(V_end, self.kinks)
             self._work.losses["friction"] += mass.lost(free, V_end)
         V_end[fixed] = held[fixed]
         return V_end

@@ -53,6 +53,8 @@ _PENALTY, _SLIP = 1e2, 0.5
 _NEAR = 1.0
 # A body so near in units of a cell touches
 _TOUCHES = 1e-9
+# Tractions so near to the limit of friction, as a share, are at it
+_ROUNDING = 1e-14
 # slip below this share of a cell has no direction
 _STILL = 1e-12
 
@@ -67,6 +69,7 @@ class Wall:
         fixed: Penalty (Pa/m), or None.
         penalty: Penalty in units of M/h.
         name: First part of the names of its fields.
+        friction: Coefficient μ of Coulomb's friction.
         slip: Stiffness against slip over the penalty.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
         updates: Fields that a step sets, by name.
@@ -77,6 +80,7 @@ class Wall:
     fixed: float | None
     penalty: float
     name: str
+    friction: float
     slip: float
     stiffness: str
     updates: dict[str, Expr]
@@ -94,6 +98,16 @@ class Wall:
         """Largest stiffness at the markers of this rank (Pa/m), 0 if no body is in front."""
         markers = self.boundary.markers
         return max(1.0, self.slip) * markers[self.stiffness] * markers[f"{self.name}_on"]
+
+    def states(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Which markers of this rank touch, and which of them slip, after a step."""
+        markers = self.boundary.markers
+        gap, k = markers[f"{self.name}_gap"], markers[self.stiffness]
+        touches = gap > 0.0
+        bound = self.friction * k * gap
+        held = np.linalg.norm(markers[f"{self.name}_shear"], axis=1)
+        # the tractions of markers that slip are those of the limit, to rounding
+        return touches, touches & (self.friction > 0.0) & (held > (1.0 - _ROUNDING) * bound)
 
     def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the penalty, and find the markers with the body in front and their gaps.
@@ -244,7 +258,7 @@ def signorini(
     boundary.forces.append(force.name)
     slip = slip_penalty / penalty if mu > 0 else 0.0
     wall = Wall(
-        boundary, declaration, stiffness_per_area, float(penalty), name, slip, k.name, updates
+        boundary, declaration, stiffness_per_area, float(penalty), name, mu, slip, k.name, updates
     )
     mark = {**boundary.ds.metadata(), "condition": wall}
     tags = None if declaration is None else declaration.tags

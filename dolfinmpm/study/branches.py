@@ -20,6 +20,7 @@ from mpi4py import MPI
 from dolfinmpm.assembly.state import HasState, Local, OfCells, gathered, given_back
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.explicit import Explicit
+from dolfinmpm.kinematics.walls import Wall
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
@@ -32,7 +33,7 @@ Events = dict[str, list[list[Array]]]
 
 _YIELD = "points start or stop to yield"
 _CROSS = "points cross a cell"
-_COLLIDE = "nodes of colliding bodies begin or end to touch or slip"
+_WALL = "markers of walls begin or end to touch or slip"
 
 
 def points_of(problems: Sequence[Problem]) -> list[MaterialPoints]:
@@ -45,7 +46,7 @@ def points_of(problems: Sequence[Problem]) -> list[MaterialPoints]:
 
 
 class Marks:
-    """Which points of a run yield or cross a cell, and which nodes touch and slip, in a step.
+    """Which points of a run yield or cross a cell, and where explicit steps have kinks, in a step.
 
     Args:
         problems: The problems of the run.
@@ -60,9 +61,11 @@ class Marks:
         # functions with a kink at the border of cells
         spaces = [space for problem in problems for space in problem.form.spaces]
         self._kinks = any(not s.basis.averaged and s.basis.continuity == 0 for s in spaces)
+        bounds = [of for problem in problems for of in problem.form.boundaries]
+        self._walls = [one for of in bounds for one in of.conditions if isinstance(one, Wall)]
         self._before: list[dict[str, Array]] = []
-        watched = [p.watch_collision() for p in problems if isinstance(p, Explicit)]
-        self._colliding = [states for states in watched if states is not None]
+        watched = [p.watch_kinks() for p in problems if isinstance(p, Explicit)]
+        self._watched = [kinks for kinks in watched if kinks is not None]
 
     def _names(self, points: MaterialPoints) -> list[str]:
         """Names of the internal variables of the laws."""
@@ -82,16 +85,22 @@ class Marks:
             }
             for points in self._points
         ]
-        for states in self._colliding:
-            states.begin()
+        for kinks in self._watched:
+            kinks.begin()
 
     def end(self) -> Events:
         """What has happened in the step."""
         found: Events = {_YIELD: []}
         if self._kinks:
             found[_CROSS] = []
-        if self._colliding:
-            found[_COLLIDE] = [states.sets for states in self._colliding]
+        for kinks in self._watched:
+            for what, sets in kinks.sets.items():
+                found.setdefault(what, []).append(sets)
+        if self._walls:
+            found[_WALL] = [
+                [np.sort(wall.boundary.markers.fields.read("id")[at]) for at in wall.states()]
+                for wall in self._walls
+            ]
         for points, before in zip(self._points, self._before):
             ids, at = points.fields.read("id"), None
             first = np.asarray(before["id"])

@@ -12,12 +12,13 @@ from conftest import unit_grid
 
 import dolfinmpm as mpm
 from dolfinmpm import study
+from dolfinmpm.dynamics.kinks import COLLIDING
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
 from derivative_scenes import errors_of, history_of
 
 AWAY = {"E": 1e5, "friction": 0.3, "speed": 1.0, "across": 0.2, "gap": -0.002}
-TOLD = "nodes of colliding bodies begin or end to touch or slip within the perturbation"
+TOLD = f"{COLLIDING} within the perturbation"
 
 
 def thrown(m, steps=4, scheme="musl", mapping="flip", gap_test=True):
@@ -45,11 +46,11 @@ def thrown(m, steps=4, scheme="musl", mapping="flip", gap_test=True):
 def states_of(scene, parameters, steps):
     """The sets of nodes that touch and slip in the last of some steps."""
     run = scene(parameters)
-    states = run.problem.watch_collision()
+    kinks = run.problem.watch_kinks()
     for step in run.steps[:steps]:
-        states.begin()
+        kinks.begin()
         step()
-    return [numbers.tolist() for numbers in states.sets if numbers.size]
+    return [numbers.tolist() for numbers in kinks.sets[COLLIDING] if numbers.size]
 
 
 @pytest.mark.parametrize(
@@ -93,7 +94,7 @@ def test_a_node_between_two_states_is_told(name, low, high, side):
         np.testing.assert_allclose(sign * by[name], exact, rtol=0, atol=1e-5 * np.abs(exact).max())
 
 
-def test_who_asks_for_no_derivatives_keeps_no_states():
+def test_who_asks_for_no_derivatives_keeps_no_kinks():
     run = thrown(AWAY)
     run.steps[0]()
-    assert run.problem._loop.states is None
+    assert run.problem._loop.kinks is None

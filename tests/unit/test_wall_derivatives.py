@@ -1,0 +1,94 @@
+"""Derivatives of runs against walls, and the kinks that are told there."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from conftest import unit_grid
+from dolfinx import fem
+
+import dolfinmpm as mpm
+from dolfinmpm import study
+from dolfinmpm.study.branches import Marks
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
+from derivative_scenes import errors_of, history_of
+
+AT = {"E": 1e5, "friction": 0.2, "push": 0.01, "along": 0.004, "gap": 0.001}
+WALL = "markers of walls begin or end to touch or slip"
+
+
+def pushed(m, steps=4):
+    """A block whose left face is moved is pushed against a wall, and along it."""
+    grid = unit_grid("quadrilateral", 5)
+    points = mpm.fill(grid, mpm.Box((0.0, 0.2), (1.0, 0.6)), 2, 1000.0)
+    points["x"][:, 0] -= m["gap"] * points["x"][:, 0]
+    law = mpm.materials.Hencky(m["E"], 0.2)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(law, points, V.increment, V.test)
+    # it sags, so that no two markers touch at the same time
+    F -= points.density * ufl.dot(ufl.as_vector((0.0, -0.5)), V.test) * points.dX
+    wall = mpm.Boundary.from_side(points, "right")
+    F += mpm.signorini(wall, V.increment, V.test, law=law, friction=m["friction"])
+    push, along = fem.Constant(grid, m["push"] / 4), fem.Constant(grid, 0.0)
+    bcs = [
+        *mpm.prescribed(V, "left", 0, increment=push),
+        *mpm.prescribed(V, "left", 1, increment=along),
+    ]
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, tolerance=1e-12, stabilisation="ghost")
+
+    def step(k):
+        along.value = m["along"] * k / 4
+        problem.step()
+
+    places = {"force": wall.force, "mean": lambda: points["x"].mean(axis=0)}
+    return study.Run(problem, [partial(step, k) for k in range(steps)], places)
+
+
+def sets_of(parameters, steps):
+    """Markers that touch and that slip in the last of some steps."""
+    run = pushed(parameters)
+    marks = Marks(run.problems)
+    for step in run.steps[:steps]:
+        marks.begin()
+        step()
+    return [numbers.tolist() for numbers in marks.end()[WALL][0]]
+
+
+def test_derivatives_are_differences_of_whole_runs():
+    found = study.differentiate(pushed, AT)
+    assert not found.notes
+    assert all(abs(d).max() > 1e-9 for d in found.derivatives["force"].values())
+    assert max(errors_of(pushed, AT, found, h=1e-5).values()) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "ends", "step"),
+    [("friction", (0.05, 0.9), 3), ("gap", (0.001, 0.02), 2)],
+    ids=["slip", "touch"],
+)
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_kink_within_the_perturbation_is_told(name, ends, step, side):
+    ends = list(ends)
+    first = sets_of(AT | {name: ends[0]}, step)
+    assert sets_of(AT | {name: ends[1]}, step) != first
+    for _ in range(40):
+        middle = sum(ends) / 2
+        ends[sets_of(AT | {name: middle}, step) != first] = middle
+    value, sign = ends[side], np.sign(ends[1 - side] - ends[side])
+
+    def one(m):
+        return pushed({**AT, **m}, steps=step)
+
+    found = study.differentiate(one, {name: value}, scales={name: sign * value})
+    assert any(f"{WALL} within the perturbation" in note for note in found.notes)
+    h = -1e-5 * sign * value
+    at, near, far = (history_of(one, {name: value + k * h}) for k in (0.0, 0.5, 1.0))
+    for key, by in found.derivatives.items():
+        exact = sign * value * (4 * near[key] - far[key] - 3 * at[key]) / h
+        np.testing.assert_allclose(by[name], exact, rtol=0, atol=1e-7 + 1e-4 * abs(exact).max())
