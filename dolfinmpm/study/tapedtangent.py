@@ -28,9 +28,9 @@ __all__ = ["ACCURATE", "SpareSolver", "TapedTangent"]
 
 Array = npt.NDArray[np.float64]
 
-# Runs from which the tangent at the solution is assembled for them: with incomplete factors,
-# because complete ones are cheaper then, and with all other preconditioners
-_MANY_INCOMPLETE, _MANY = 3, 8
+# Runs from which the tangent at the solution is assembled for them: with incomplete factors, by
+# dimension, because complete ones are cheaper then, and with all other preconditioners
+_MANY_INCOMPLETE, _MANY = {1: 1, 2: 1, 3: 3}, 8
 # Out-of-balance force that may remain, as a share of what the perturbation makes: in general, and
 # in columns of additional equations. And its rounding, as a share of the loads
 DIGITS, ACCURATE, ROUNDING = 1e-7, 1e-10, 1e-15
@@ -91,11 +91,12 @@ class TapedTangent:
         lend: bool = True,
     ):  # fmt: skip
         self._lender, self._version, self._spare = linear, linear.version, spare
-        self._complete, self._comm = readers >= _MANY_INCOMPLETE, linear.comm
+        factors_pay = _MANY_INCOMPLETE[operator.form.points.gdim]
+        self._complete, self._comm = readers >= factors_pay, linear.comm
         self._known = [x, *spare.take_changes(operator.here.unknowns)]
         self._products: list[Array] = []
         method = linear.method
-        few = method is not None and readers < (_MANY_INCOMPLETE if method.incomplete else _MANY)
+        few = method is not None and readers < (factors_pay if method.incomplete else _MANY)
         self.exact = not (lend and few and linear.has_tangent)
         by_levels = method is not None and method.pc in _MULTIGRID
         self._left = _LEVELS if by_levels else 0.3 * DIGITS
