@@ -183,8 +183,11 @@ def safety_of_a_state():
     found = {}
     # a number, and a field that goes with the points
     for name, cohesion in (("number", 1e4), ("field", lambda x: 1e4 + 1e-9 * x[0])):
-        one, g = _slope(cohesion)
-        other, g_of_other = _slope(cohesion)
+        # on one grid: how ranks number a grid may hang on which of them is faster
+        kind = mesh.CellType.quadrilateral
+        grid = mesh.create_rectangle(COMM, [(0, 0), (16, 8)], (16, 8), kind)
+        one, g = _slope(cohesion, grid)
+        other, g_of_other = _slope(cohesion, grid)
         one.step(), other.step()
         safety = mpm.study.factor_of_safety(one, 1.0, 2.0, tolerance=0.1)
         for problem, gravity in ((one, g), (other, g_of_other)):
@@ -201,10 +204,8 @@ def safety_of_a_state():
     return found
 
 
-def _slope(cohesion):
+def _slope(cohesion, grid):
     """A slope of one to one; points of its trials change rank."""
-    kind = mesh.CellType.quadrilateral
-    grid = mesh.create_rectangle(COMM, [(0, 0), (16, 8)], (16, 8), kind)
     shape = mpm.Polygon([(0, 0), (12, 0), (6, 6), (0, 6)])
     points = mpm.fill(grid, shape, 2, 2000.0)
     V = mpm.Space(grid, "gimp")
