@@ -35,6 +35,7 @@ VARIANTS = {
     "fbar_bases",
     "fbar_layers",
     "fbar_triangles",
+    "law_in_ufl",
     "nested_bases",
     "nested_restart",
     "regridded",
@@ -53,10 +54,11 @@ VARIANTS = {
     "rings_stabilisations",
     "rings_restart",
     "touching_restart",
+    "umat_explicit",
     "waves",
 }
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
-GROUP = 14
+GROUP = 28
 GROUPS = [list(CASES)[k : k + GROUP] for k in range(0, len(CASES), GROUP)]
 
 

@@ -56,7 +56,7 @@ def sets_of(scene, parameters, what, steps):
 
 
 @pytest.mark.parametrize("on", ["wall", "side"])
-@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+@pytest.mark.parametrize("basis", ["gimp", pytest.param("bspline2", marks=pytest.mark.long)])
 def test_derivatives_are_differences_of_whole_runs(on, basis):
     scene, at = partial(fall, on=on, basis=basis), FALL | {"gap": -0.001}
     found = study.differentiate(scene, at)

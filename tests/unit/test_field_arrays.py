@@ -16,6 +16,7 @@ from dolfinmpm.materials import Hencky, NeoHookean, VonMises
 
 FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "plastic_strain")
 STIFF, SOFT = VonMises(E=2e5, nu=0.3, radius=500.0), NeoHookean(E=1e5, nu=0.3)
+LONG = pytest.mark.long
 VARYING = VonMises(E=lambda x: 1e5 * (1 + 0.5 * x[0]), nu=0.3, radius=500.0)
 
 
@@ -278,11 +279,11 @@ def test_a_change_between_calls_is_seen(monkeypatch, tmp_path, name):
     ("change", "scene"),
     [
         (scaled("F", 1.001), {"law": SOFT}),
-        (scaled("stress", 0.5), {"law": SOFT, "scheme": "musl"}),
-        (whole, {"law": SOFT, "scheme": "usf", "mapping": "apic"}),
+        pytest.param(scaled("stress", 0.5), {"law": SOFT, "scheme": "musl"}, marks=LONG),
+        pytest.param(whole, {"law": SOFT, "scheme": "usf", "mapping": "apic"}, marks=LONG),
         (scaled("l", 0.9), {"basis": "gimp"}),
         (scaled("vonmises_parameters", 1.1), {"law": VARYING}),
-        (whole, {"law": Hencky(E=1e5, nu=0.3), "d": 3}),
+        pytest.param(whole, {"law": Hencky(E=1e5, nu=0.3), "d": 3}, marks=LONG),
         (scaled("stress", 0.5), {"law": SOFT, "d": 3}),
     ],
 )

@@ -68,11 +68,14 @@ def test_derivatives_are_differences_of_whole_runs():
 
 
 @pytest.mark.parametrize(
-    ("name", "ends", "step"),
-    [("friction", (0.05, 0.9), 3), ("gap", (0.001, 0.02), 2)],
-    ids=["slip", "touch"],
+    ("name", "ends", "step", "side"),
+    [
+        ("friction", (0.05, 0.9), 3, 0),
+        ("gap", (0.001, 0.02), 2, 1),
+        pytest.param("friction", (0.05, 0.9), 3, 1, marks=pytest.mark.long),
+        pytest.param("gap", (0.001, 0.02), 2, 0, marks=pytest.mark.long),
+    ],
 )
-@pytest.mark.parametrize("side", [0, 1])
 def test_a_kink_within_the_perturbation_is_told(name, ends, step, side):
     ends = list(ends)
     first = sets_of(AT | {name: ends[0]}, step)

@@ -48,12 +48,11 @@ def swing(problem, courant, n, end=0.24):
     ("rule", "offset"),
     [
         (mpm.Newmark, 0.02),
-        (mpm.GeneralisedAlpha, 0.98),
         *(
             pytest.param(rule, offset, marks=pytest.mark.long)
             for rule in (mpm.Newmark, mpm.GeneralisedAlpha)
             for offset in (0.02, 0.3, 0.7, 0.98)
-            if (rule, offset) not in ((mpm.Newmark, 0.02), (mpm.GeneralisedAlpha, 0.98))
+            if (rule, offset) != (mpm.Newmark, 0.02)
         ),
     ],
 )
