@@ -28,7 +28,7 @@ _Found = dict[str, dict[str, list[Array]]]
 # Perturbation of a parameter as a share of its size, in central and in one-sided differences. Their
 # rounding is 1e-16 over it, times 10 to 100 from the solution. The third derivative counts with its
 # square, the second with itself.
-CENTRAL, ONE_SIDED = 1e-6, 1e-7
+CENTRAL, ONE_SIDED = 1e-6, 8e-8
 # Ratio of the second perturbation of an estimate to the first one, and the estimated error from
 # which a derivative is doubtful
 _SECOND, _DOUBTFUL = 8.0, 1e-3
@@ -113,7 +113,7 @@ def differentiate(
             two more digits, and takes twice the time. By default only for estimates of errors, for
             paths of `ArcLength`, and for steps that are an iterator, because a run that begins
             later cannot leave them out.
-        epsilon: Perturbation of a parameter, as a share of Δm: by default 1e-7, and 1e-6 for two
+        epsilon: Perturbation of a parameter, as a share of Δm: by default 8e-8, and 1e-6 for two
             runs per parameter.
         estimate: Whether to estimate errors by a second perturbation, 8 times as large, in twice
             the time of two runs per parameter. A derivative that does not exist differs from one

@@ -97,7 +97,7 @@ def kinked(strength):
 def test_a_point_that_begins_to_yield_is_told():
     # the strength at which the first point yields, by bisection of whole runs
     low, high = 300.0, 3000.0
-    for _ in range(24):
+    for _ in range(28):
         middle = 0.5 * (low + high)
         run = kinked(middle)({"share": 1.0})
         for step in run.steps:
