@@ -14,7 +14,8 @@ __all__ = ["Kinks"]
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 
-# What counts as rounding: approach and slip relative to the fastest node, gaps to their closing
+# What counts as rounding: velocities relative to the fastest node, gaps to their closing, viscous
+# pressures to the largest one
 _ROUNDING = 1e-12
 
 COLLIDING = "nodes of colliding bodies begin or end to touch or slip"
@@ -97,7 +98,7 @@ class Kinks:
     def add_damped(self, V: Array) -> None:
         """Add the velocities of nodes that local damping resists (m/s), shape (nodes, d)."""
         d = V.shape[1]
-        rows, k = np.nonzero(V < 0.0)
+        rows, k = np.nonzero(V < -_ROUNDING * np.abs(V).max(initial=0.0))
         numbers = self._numbers[rows]
         self._add(DAMPED, (numbers * d + k)[numbers >= 0])
 
@@ -108,7 +109,8 @@ class Kinks:
             ids: Numbers of the points, shape (n,).
             pressure: Viscous pressure times volume (N m), shape (n,).
         """
-        self._add(CLOSING, ids[pressure != 0.0])
+        size = np.abs(pressure)
+        self._add(CLOSING, ids[size > _ROUNDING * size.max(initial=0.0)])
 
     def _add(self, what: str, *sets: Numbers) -> None:
         self.sets.setdefault(what, []).extend(np.sort(numbers) for numbers in sets)
