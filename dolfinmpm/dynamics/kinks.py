@@ -98,7 +98,8 @@ class Kinks:
     def add_damped(self, V: Array) -> None:
         """Add the velocities of nodes that local damping resists (m/s), shape (nodes, d)."""
         d = V.shape[1]
-        rows, k = np.nonzero(V < -_ROUNDING * np.abs(V).max(initial=0.0))
+        least = _ROUNDING * float(np.abs(V).max(initial=0.0))
+        rows, k = np.nonzero(V < -least)
         numbers = self._numbers[rows]
         self._add(DAMPED, (numbers * d + k)[numbers >= 0])
 
