@@ -99,7 +99,7 @@ class Kinks:
         """Add the velocities of nodes that local damping resists (m/s), shape (nodes, d)."""
         d = V.shape[1]
         least = _ROUNDING * float(np.abs(V).max(initial=0.0))
-        rows, k = np.nonzero(V < -least)
+        rows, k = np.nonzero(V + least < 0.0)
         numbers = self._numbers[rows]
         self._add(DAMPED, (numbers * d + k)[numbers >= 0])
 
