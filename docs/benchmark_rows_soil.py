@@ -375,7 +375,7 @@ ROWS = (
         each("derivatives", ""), _worst_derivative, "{:.0e}, {:.0e}", "exact: 0"),
     Row("derivatives-time", PARAMETERS, "time of the first parameter, of each further one over a "
         "run without (%): Mohr–Coulomb footing of 10 000 points; elastic block of 36 000 unknowns "
-        "in 3D", each("derivatives", "--time", "--time --block --repeat 1"), _cost_of_parameters,
+        "in 3D", each("derivatives", "--time", "--time --block"), _cost_of_parameters,
         "{:.0f}, {:.0f}; {:.0f}, {:.0f}"),
     Row("calibration", PARAMETERS, "E, cohesion and friction angle of a footing from curves with "
         "random errors, 20 sets: truths inside their 95 % intervals, of 60; most runs of a fit",
