@@ -133,7 +133,7 @@ def test_a_second_run_begins_where_the_first_one_leaves(side, tmp_path):
     of_first = number(ends[0])
     for _ in range(21):
         middle = sum(ends) / 2
-        ends[number(middle) != of_first] = middle
+        ends[int(number(middle) != of_first)] = middle
     # the perturbation goes towards the other end, and passes the kink
     strength, sign = ends[side], 1 - 2 * side
     found = study.differentiate(scene, {"yield": strength}, scales={"yield": sign * strength})
