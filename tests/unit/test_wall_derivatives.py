@@ -77,17 +77,19 @@ def test_derivatives_are_differences_of_whole_runs():
     ],
 )
 def test_a_kink_within_the_perturbation_is_told(name, ends, step, side):
+    # with friction the way of Newton's method may decide whether a marker touches
+    fixed = AT | ({"friction": 0.0} if name == "gap" else {})
     ends = list(ends)
-    first = sets_of(AT | {name: ends[0]}, step)
-    assert sets_of(AT | {name: ends[1]}, step) != first
+    first = sets_of(fixed | {name: ends[0]}, step)
+    assert sets_of(fixed | {name: ends[1]}, step) != first
     # not nearer to the kink than what the solver leaves
     for _ in range(30):
         middle = sum(ends) / 2
-        ends[sets_of(AT | {name: middle}, step) != first] = middle
+        ends[sets_of(fixed | {name: middle}, step) != first] = middle
     value, sign = ends[side], np.sign(ends[1 - side] - ends[side])
 
     def one(m):
-        return pushed({**AT, **m}, steps=step)
+        return pushed({**fixed, **m}, steps=step)
 
     found = study.differentiate(one, {name: value}, scales={name: sign * value})
     assert any(f"{WALL} within the perturbation" in note for note in found.notes)
