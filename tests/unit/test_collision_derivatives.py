@@ -6,7 +6,6 @@ import sys
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 from conftest import unit_grid
 
@@ -15,10 +14,10 @@ from dolfinmpm import study
 from dolfinmpm.dynamics.kinks import COLLIDING
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
-from derivative_scenes import errors_of, history_of
+from derivative_scenes import errors_of
+from onesided import around_kink, check_at_kink
 
 AWAY = {"E": 1e5, "friction": 0.3, "speed": 1.0, "across": 0.2, "gap": -0.002}
-TOLD = f"{COLLIDING} within the perturbation"
 
 
 def thrown(m, steps=4, scheme="musl", mapping="flip", gap_test=True):
@@ -73,25 +72,13 @@ def test_derivatives_of_a_collision_are_differences_of_whole_runs(options):
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_node_between_two_states_is_told(name, low, high, side):
     """In the third step, nodes touch or slip otherwise on both sides of a value."""
-    ends = [low, high]
-    first = states_of(thrown, AWAY | {name: low}, 3)
-    for _ in range(40):
-        middle = sum(ends) / 2
-        ends[states_of(thrown, AWAY | {name: middle}, 3) != first] = middle
-    # the perturbation goes towards the other end, and passes the kink
-    value, sign = ends[side], 1 - 2 * side
+    ends = around_kink(lambda m: states_of(thrown, AWAY | {name: m}, 3), (low, high), 40)
 
     def scene(m):
         return thrown({**AWAY, **m})
 
-    found = study.differentiate(scene, {name: value}, scales={name: sign * value})
-    assert TOLD in found.notes[0]
-    assert found.notes[0].startswith(f"{name}, step ")
-    h = -sign * 1e-5
-    at, near, far = (history_of(scene, {name: value * (1 + k * h)}) for k in (0.0, 0.5, 1.0))
-    for key, by in found.derivatives.items():
-        exact = (4 * near[key] - far[key] - 3 * at[key]) / h
-        np.testing.assert_allclose(sign * by[name], exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+    note = check_at_kink(scene, name, ends, side, COLLIDING)
+    assert note.startswith(f"{name}, step ")
 
 
 def test_who_asks_for_no_derivatives_keeps_no_kinks():

@@ -15,7 +15,8 @@ from dolfinmpm import study
 from dolfinmpm.dynamics import kinks
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
-from derivative_scenes import errors_of, history_of
+from derivative_scenes import errors_of
+from onesided import around_kink, check_at_kink
 
 FALL = {"E": 1e5, "friction": 0.05, "down": 1.0, "across": 0.2, "gap": 0.0}
 
@@ -80,31 +81,17 @@ def test_derivatives_are_differences_of_whole_runs(on, basis):
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_kink_within_the_perturbation_is_told(scene, what, name, ends, step, side):
     """In one of the steps, something is beyond its kink on one side of a value only."""
-    ends = list(ends)
-    first = sets_of(scene, FALL | {name: ends[0]}, what, step)
-    assert sets_of(scene, FALL | {name: ends[1]}, what, step) != first
-    for _ in range(44):
-        middle = sum(ends) / 2
-        ends[sets_of(scene, FALL | {name: middle}, what, step) != first] = middle
-    # the perturbation goes towards the other end, and passes the kink
-    value, sign = ends[side], np.sign(ends[1 - side] - ends[side])
+    found = around_kink(lambda m: sets_of(scene, FALL | {name: m}, what, step), ends, 44)
 
     def one(m):
         return scene({**FALL, **m}, steps=step)
 
-    size = max(abs(value), 0.01)
-    found = study.differentiate(one, {name: value}, scales={name: sign * size})
-    assert any(f"{what} within the perturbation" in note for note in found.notes)
-    h = -1e-5 * sign * size
-    at, near, far = (history_of(one, {name: value + k * h}) for k in (0.0, 0.5, 1.0))
-    for key, by in found.derivatives.items():
-        exact = sign * size * (4 * near[key] - far[key] - 3 * at[key]) / h
-        np.testing.assert_allclose(by[name], exact, rtol=0, atol=5e-9 + 2e-5 * abs(exact).max())
+    check_at_kink(one, name, found, side, what, share=2e-5, least=5e-9)
 
 
 def test_a_velocity_that_turns_round_under_local_damping_is_told():
     def scene(m):
-        return fall({**FALL, **m}, on="free", damping=0.1, steps=1)
+        return fall({**FALL, **m}, on="held", damping=0.1, steps=1)
 
     found = study.differentiate(scene, {"across": -1e-9}, scales={"across": 1.0})
     assert any(kinks.DAMPED in note for note in found.notes)

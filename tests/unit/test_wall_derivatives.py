@@ -6,7 +6,6 @@ import sys
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 import ufl
 from conftest import unit_grid
@@ -17,7 +16,8 @@ from dolfinmpm import study
 from dolfinmpm.study.branches import Marks
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
-from derivative_scenes import errors_of, history_of
+from derivative_scenes import errors_of
+from onesided import around_kink, check_at_kink
 
 AT = {"E": 1e5, "friction": 0.2, "push": 0.01, "along": 0.004, "gap": 0.001}
 WALL = "markers of walls begin or end to touch or slip"
@@ -79,22 +79,10 @@ def test_derivatives_are_differences_of_whole_runs():
 def test_a_kink_within_the_perturbation_is_told(name, ends, step, side):
     # with friction the way of Newton's method may decide whether a marker touches
     fixed = AT | ({"friction": 0.0} if name == "gap" else {})
-    ends = list(ends)
-    first = sets_of(fixed | {name: ends[0]}, step)
-    assert sets_of(fixed | {name: ends[1]}, step) != first
     # not nearer to the kink than what the solver leaves
-    for _ in range(30):
-        middle = sum(ends) / 2
-        ends[sets_of(fixed | {name: middle}, step) != first] = middle
-    value, sign = ends[side], np.sign(ends[1 - side] - ends[side])
+    found = around_kink(lambda m: sets_of(fixed | {name: m}, step), ends, 30)
 
     def one(m):
         return pushed({**fixed, **m}, steps=step)
 
-    found = study.differentiate(one, {name: value}, scales={name: sign * value})
-    assert any(f"{WALL} within the perturbation" in note for note in found.notes)
-    h = -1e-5 * sign * value
-    at, near, far = (history_of(one, {name: value + k * h}) for k in (0.0, 0.5, 1.0))
-    for key, by in found.derivatives.items():
-        exact = sign * value * (4 * near[key] - far[key] - 3 * at[key]) / h
-        np.testing.assert_allclose(by[name], exact, rtol=0, atol=1e-7 + 1e-4 * abs(exact).max())
+    check_at_kink(one, name, found, side, WALL, share=1e-4, least=1e-7)
