@@ -301,7 +301,7 @@ def constraint_matrix(
         basis: The basis.
         nodes: Active nodes known on this rank.
         filled: Fill fraction of every local cell, shape (cells,); for splines the
-            share of every function's integral in the body, shape (nodes,).
+            share of every function's integral in the body, shape (nodes,), see `support_shares`.
         threshold: Fill fraction t from which a cell is well-filled. A spline of degree q needs the
             share t^(q+1)/(q+1)!. The last spline has this share if a body with a straight edge
             ends in a cell filled to t.

@@ -163,8 +163,30 @@ def _integrals_on_leaves(basis: LeafBasis) -> Array:
     return shared.array
 
 
+def _support_at_sides(line: Array, inner: Array) -> Array:
+    """Share of a function's support that is inside the grid, shape (functions,).
+
+    Args:
+        line: Lattice lines (m).
+        inner: Inner knots of the functions (m), shape (functions, degree). A knot at an end of the
+            line stands for a cell of the support that is beyond the end.
+    """
+    close = 1e-9 * (line[-1] - line[0])
+    beyond = (np.abs(inner - line[0]) <= close) | (np.abs(inner - line[-1]) <= close)
+    return np.asarray(1.0 - beyond.sum(axis=1) / (inner.shape[1] + 1))
+
+
+def _knots_of(line: Array, degree: int) -> Array:
+    """Inner knots of the functions on a line (m), shape (functions, degree)."""
+    knots = np.concatenate([[line[0]] * (degree - 1), line, [line[-1]] * (degree - 1)])
+    return np.lib.stride_tricks.sliding_window_view(knots, degree)
+
+
 def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | LeafBasis) -> Array:
     """Share of each function's integral in the body, shape (nodes,). Collective.
+
+    At a side of the grid, a function has fewer cells, and a smaller integral. There the share is of
+    the integral that it would have with all its cells, so that it counts what the body feels of it.
 
     A function on leaves that does not hang has a part in each hanging function that follows it. A
     hanging function has the least share of those that it follows.
@@ -193,9 +215,12 @@ def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | L
             both.scatter_forward()
         parts, wholes = sums.T
         wholes = wholes + basis.integrals_outside()
+        for d, line in enumerate(basis.lattice.lines):
+            parts = parts * _support_at_sides(line, basis.inner_knots[:, d])
         shares = np.divide(parts, wholes, out=np.zeros(len(sums)), where=~basis.hangs)
         return np.asarray(np.minimum.reduceat(shares[H.indices], H.indptr[:-1]))
     whole = np.ones(basis.nodes.size)
     for d, line in enumerate(basis.lattice.lines):
-        whole *= integrals(line, basis.degree)[basis.halo.node_ijk[:, d]]
+        inside = _support_at_sides(line, _knots_of(line, basis.degree))
+        whole *= (integrals(line, basis.degree) / inside)[basis.halo.node_ijk[:, d]]
     return shared.array / whole
