@@ -5,12 +5,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 import numpy.typing as npt
-from dolfinx.la import InsertMode
+from dolfinx.la import InsertMode, Vector
 
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.leafsplinestencils import leaf_integrals
 from dolfinmpm.basis.stencils import add_weighted, running_sum
+from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import cell_volumes
 
 __all__ = ["cell_sums", "domain_shares", "fill_fractions", "support_shares"]
@@ -147,6 +148,13 @@ def fill_fractions(
     return cell_sums(where, stencils, basis, where.volume) / volumes
 
 
+def _add_up(shared: Vector, nodes: Numbering) -> None:
+    """Add up what ranks know of their shared nodes. Collective."""
+    if nodes.comm.size > 1:
+        shared.scatter_reverse(InsertMode.add)
+        shared.scatter_forward()
+
+
 def _integrals_on_leaves(basis: LeafBasis) -> Array:
     """Integral of each function over the leaves (m^d), shape (nodes,). Collective."""
     own, (gdim, width) = basis.cells.owned, basis.knots.shape[1:]
@@ -157,23 +165,51 @@ def _integrals_on_leaves(basis: LeafBasis) -> Array:
         each = (each[:, :, None] * lines[:, d, None]).reshape(own, -1)
     shared = basis.nodes.vector()
     np.add.at(shared.array, basis.corner_nodes[:own].ravel(), each.ravel())
-    if basis.nodes.comm.size > 1:
-        shared.scatter_reverse(InsertMode.add)
-        shared.scatter_forward()
+    _add_up(shared, basis.nodes)
     return shared.array
 
 
-def _support_at_sides(line: Array, inner: Array) -> Array:
-    """Share of a function's support that is inside the grid, shape (functions,).
+def _met_sides(where: Placement, stencils: Stencils, basis: LatticeBasis | LeafBasis) -> Array:
+    """Whether the body fills the cells of a function to a side, 1 or 0, shape (nodes, gdim, 2).
+
+    A cell at a side is filled to it if a point is in the half of the cell that is beside the side.
+    The sides are the lower and the upper one of each axis. Ranks do not share what they know.
+
+    Args:
+        where, stencils, basis: See `support_shares`.
+    """
+    s, x = stencils, where.x[stencils.order]
+    low, high = basis.cell_corners()
+    met = np.zeros((basis.nodes.size, low.shape[1], 2))
+    if not s.order.size:
+        return met
+    for d, line in enumerate(basis.lattice.lines):
+        size, close = high[:, d] - low[:, d], 1e-9 * (line[-1] - line[0])
+        for k, (corner, end) in enumerate(((low, line[0]), (high, line[-1]))):
+            half = np.where(np.abs(corner[:, d] - end) <= close, 0.5 * size, -1.0)
+            of_group = np.maximum.reduceat(half[s.cells], s.cell_start[:-1])
+            near = np.abs(x[:, d] - end) <= np.repeat(of_group, np.diff(s.groups))
+            groups = np.logical_or.reduceat(near, s.groups[:-1])
+            met[s.nodes[np.repeat(groups, np.diff(s.node_start))], d, k] = 1.0
+    return met
+
+
+def _support_inside(line: Array, inner: Array, met: Array) -> Array:
+    """Share of a function's support that is not beyond sides that the body does not fill.
 
     Args:
         line: Lattice lines (m).
         inner: Inner knots of the functions (m), shape (functions, degree). A knot at an end of the
             line stands for a cell of the support that is beyond the end.
+        met: Whether the body fills the cells to the ends, more than 0 or 0, shape (functions, 2).
+
+    Returns:
+        The shares, shape (functions,).
     """
     close = 1e-9 * (line[-1] - line[0])
-    beyond = (np.abs(inner - line[0]) <= close) | (np.abs(inner - line[-1]) <= close)
-    return np.asarray(1.0 - beyond.sum(axis=1) / (inner.shape[1] + 1))
+    beyond = np.stack([np.abs(inner - end) <= close for end in (line[0], line[-1])], axis=1)
+    cells = np.where(met > 0, 0, beyond.sum(axis=2)).sum(axis=1)
+    return np.asarray(1.0 - cells / (inner.shape[1] + 1))
 
 
 def _knots_of(line: Array, degree: int) -> Array:
@@ -185,8 +221,9 @@ def _knots_of(line: Array, degree: int) -> Array:
 def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | LeafBasis) -> Array:
     """Share of each function's integral in the body, shape (nodes,). Collective.
 
-    At a side of the grid, a function has fewer cells, and a smaller integral. There the share is of
-    the integral that it would have with all its cells, so that it counts what the body feels of it.
+    At a side of the grid, a function has fewer cells, and a smaller integral. Where the body does
+    not fill the cells to the side, the share is of the integral that the function would have with
+    all its cells. Then it counts what the function feels of the body, as elsewhere.
 
     A function on leaves that does not hang has a part in each hanging function that follows it. A
     hanging function has the least share of those that it follows.
@@ -196,31 +233,42 @@ def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | L
         stencils: Their stencils.
         basis: The basis of the stencils.
     """
-    shared = basis.nodes.vector()
-    s = stencils
-    add_weighted(
-        s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, where.volume, shared.array
-    )
-    if basis.nodes.comm.size > 1:
-        shared.scatter_reverse(InsertMode.add)
-        shared.scatter_forward()
+    nodes, s, lines = basis.nodes, stencils, basis.lattice.lines
+    shared = nodes.vector(1 + 2 * len(lines))
+    sums, part = shared.array.reshape(nodes.size, -1), np.zeros(nodes.size)
+    add_weighted(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, where.volume, part)
+    sums[:, 0] = part
+    sums[:, 1:] = _met_sides(where, s, basis).reshape(nodes.size, -1)
+    _add_up(shared, nodes)
     if isinstance(basis, LeafBasis):
-        H, owned = basis.hanging, basis.hanging[: basis.nodes.owned]
-        both = basis.nodes.vector(2)
-        sums = both.array.reshape(-1, 2)
-        own = np.column_stack([shared.array, _integrals_on_leaves(basis)])[: basis.nodes.owned]
-        sums[:] = owned.T @ own
-        if basis.nodes.comm.size > 1:
-            both.scatter_reverse(InsertMode.add)
-            both.scatter_forward()
-        parts, wholes = sums.T
-        wholes = wholes + basis.integrals_outside()
-        for d, line in enumerate(basis.lattice.lines):
-            parts = parts * _support_at_sides(line, basis.inner_knots[:, d])
-        shares = np.divide(parts, wholes, out=np.zeros(len(sums)), where=~basis.hangs)
-        return np.asarray(np.minimum.reduceat(shares[H.indices], H.indptr[:-1]))
-    whole = np.ones(basis.nodes.size)
+        return _shares_on_leaves(basis, sums)
+    whole = np.ones(nodes.size)
+    for d, line in enumerate(lines):
+        ijk = basis.halo.node_ijk[:, d]
+        inside = _support_inside(
+            line, _knots_of(line, basis.degree)[ijk], sums[:, 2 * d + 1 :][:, :2]
+        )
+        whole *= integrals(line, basis.degree)[ijk] / inside
+    return sums[:, 0] / whole
+
+
+def _shares_on_leaves(basis: LeafBasis, known: Array) -> Array:
+    """See `support_shares`. Collective.
+
+    Args:
+        basis: The basis.
+        known: Integrals of the functions in the body (m^d), then what `_met_sides` returns, shape
+            (nodes, 1 + 2 gdim).
+    """
+    H, owned, nodes = basis.hanging, basis.hanging[: basis.nodes.owned], basis.nodes
+    shared = nodes.vector(known.shape[1] + 1)
+    sums = shared.array.reshape(nodes.size, -1)
+    own = np.column_stack([_integrals_on_leaves(basis), known])[: nodes.owned]
+    sums[:] = owned.T @ own
+    _add_up(shared, nodes)
+    wholes, parts = sums[:, 0] + basis.integrals_outside(), sums[:, 1].copy()
+    met = sums[:, 2:].reshape(nodes.size, -1, 2)
     for d, line in enumerate(basis.lattice.lines):
-        inside = _support_at_sides(line, _knots_of(line, basis.degree))
-        whole *= (integrals(line, basis.degree) / inside)[basis.halo.node_ijk[:, d]]
-    return shared.array / whole
+        parts *= _support_inside(line, basis.inner_knots[:, d], met[:, d])
+    shares = np.divide(parts, wholes, out=np.zeros(nodes.size), where=~basis.hangs)
+    return np.asarray(np.minimum.reduceat(shares[H.indices], H.indptr[:-1]))
