@@ -65,8 +65,9 @@ def _leaf_corner(answer: Answer) -> list[float]:
 
 def _leaf_cone(answer: Answer) -> list[float]:
     """Unknowns over those of leaves: uniform with the same cells, graded for the same error."""
-    gain = answer["cone"]["gain"]
-    return [gain["uniform"]["same_cells"]["unknowns"], gain["graded lines"]["unknowns"]]
+    found = answer["cone"]
+    alike = found["gain"]["uniform"]["same_cells"]["unknowns"], found["finest"]["ratio"]
+    return [*alike, found["gain"]["graded lines"]["unknowns"]]
 
 
 def _leaf_splines(answer: Answer) -> list[float]:
@@ -128,9 +129,9 @@ ROWS = (
         each("refinement", "--parts footing"), _leaf_footing,
         "{:.2f}, {:.0f}; {:.2f}, {:.0f}; {:.2f}, {:.0f}; {:.2g}", "exact: 0"),
     Row("leaf-cone", LEAVES, "smooth cone, 2 R down in Tresca clay: unknowns of uniform cells of "
-        "R/4 over those of leaves of R/4; of graded lines over those of leaves of R/8 for the same "
-        "error",
-        each("refinement", "--parts cone"), _leaf_cone, "{:.3g}; {:.2g}"),
+        "R/4, R/16 over those of leaves of that size; of graded lines over those of leaves of R/8 "
+        "for the same error",
+        each("refinement", "--parts cone"), _leaf_cone, "{:.3g}, {:.3g}; {:.2g}"),
     Row("leaf-column", LEAVES, "column under its weight, leaves half as large in its lowest "
         "quarter: unknowns over those of a uniform grid with the same error (%)",
         each("refinement", "--parts column"), lambda a: [100 * a["column"]["share"]], "{:.0f}",

@@ -17,6 +17,7 @@
 # - `cone`: a smooth cone goes 2 R down in Tresca clay (`cone_penetration.py`). All grids have the
 #   same ground, rounding of R/4, penalty, and F-bar by the mean volumes. There is no exact force:
 #   the error is that of the mean over the last R, against leaves half as large as the smallest.
+#   Unknowns of uniform cells of that size are only counted.
 #
 # Two more parts ask whether leaves of several sizes keep what the method promises: `conditioning`
 # puts a block anywhere, so that its upper side cuts coarse and fine leaves, and takes the
@@ -59,6 +60,7 @@ class Input(Options):
     cone: list[float] = option([0.5, 0.25], "sizes of uniform cells (m), R = 1 m", above=0)
     cone_lines: list[float] = option([0.5, 0.25, 0.125], "between graded lines (m)", above=0)
     cone_leaves: list[float] = option([0.5, 0.25, 0.125], "of leaves at the tip (m)", above=0)
+    cone_finest: float = option(0.0625, "of cells whose unknowns are only counted (m)", above=0)
     places: int = option(200, "of a cut block", least=1)
     trees: int = option(20, "random ones", least=1)
     dimension: int = option(2, "of conditioning and patches", choices=(2, 3))
@@ -99,11 +101,23 @@ def cones(args):
             yield kind, h, words
 
 
+def cone_of(h, words):
+    """Options of a cone, which is rounded alike in all cells."""
+    return cone_penetration.Input.parse(f"{CONE} --h {h} --fillet {0.25 / h} {words}".split())
+
+
+def count(h):
+    """Unknowns of uniform cells, and of leaves, before a cone's first step."""
+    found = {}
+    for kind, words in ("uniform", "--growth 1"), ("leaves", "--refine"):
+        problem = cone_penetration.Scene(cone_of(h, words)).problem
+        found[kind] = problem.activate().unknowns.total
+    return {"h": h, **found, "ratio": found["uniform"] / found["leaves"]}
+
+
 def mean_force(h, words):
     """Mean factor of a cone over the last R of its way, and the figures of the run."""
-    # the same rounded cone in all cells
-    rounded = f"--fillet {0.25 / h}"
-    options = cone_penetration.Input.parse(f"{CONE} --h {h} {rounded} {words}".split())
+    options = cone_of(h, words)
     figures, _ = cone_penetration.once(options)
     names = "unknowns", "points", "newton_iterations"
     found = {name: figures[name] for name in names}
@@ -229,6 +243,12 @@ for part in (p for p in CURVES if p in args.parts):
     share = gain.get("uniform", {}).get("unknowns")
     if share:
         figures[part]["share"] = 1 / share
+    if part == "cone":
+        figures[part]["finest"] = finest = count(args.cone_finest)
+        say(
+            "cone     {uniform} unknowns of uniform cells of {h:g} m, {leaves} of leaves: "
+            "{ratio:.3g} times".format(**finest)
+        )
 if "conditioning" in args.parts:
     # each rank takes its share of the places
     comm = MPI.COMM_WORLD
