@@ -9,8 +9,9 @@ from grids import growing
 
 import dolfinmpm as mpm
 
-# Growth of the cells with distance, and thickness of the layer of equal cells by R
-GROWTH, REACH = 0.35, 1.0
+# Growth of the cells with distance, and thickness of the layer of equal cells by R. With a layer of
+# R, cells of R/16 are twice as many, and the force differs by 0.2 %.
+GROWTH, REACH = 0.35, 0.25
 
 
 def graded(args):

@@ -33,7 +33,9 @@ class InitialGuess:
     Material flows past a rigid body in much the same way from step to step. With the last
     increments, the points touch the body at its new place, and points that yield are found to
     yield. From zero increments, all points are elastic at first. So with contact each guess is
-    tried, and taken if it is nearer to balance than zero increments.
+    tried, and taken if it is nearer to balance than zero increments. That needs the secants that
+    find the length of a step under contact. Without them, as with pressures among the unknowns, no
+    guess is tried beside rigid bodies.
 
     The guess is zero at nodes that were not active.
 

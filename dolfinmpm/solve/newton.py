@@ -122,7 +122,9 @@ class Newton:
         outcome = Outcome()
         contact = self._in_contact(operator)
         guess = None
-        if self.guess.tried(contact) and not (contact and operator.here.driven):
+        # without secants, corners that touch by turns lead away from a guess in which they touch
+        plain = operator.here.driven if contact else operator.has_rigid_contact
+        if self.guess.tried(contact) and not plain:
             guess = self.guess.on(operator)
         self._attempt(operator, outcome, guess)
         if guess is not None:
