@@ -1,7 +1,9 @@
-"""First guess of the increments: those of the last step."""
+"""First guess of the increments, from those of the last steps."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,16 +21,38 @@ Array = npt.NDArray[np.float64]
 
 # A first guess must reduce the forces out of balance to this share of those at zero increments
 _USEFUL = 0.1
+# Changes of increments go on if that leaves at most this share of a change
+_NEARER = 0.5
 # Most steps without a trial, after guesses were of no use
 _MOST_WAIT = 16
 
 
+@dataclass(frozen=True)
+class _Kept:
+    """Increments of a field in a step, on this rank.
+
+    Attributes:
+        nodes: Owned nodes, sorted.
+        values: Increments in a step of length 1, or per step where values are carried, shape
+            (nodes, components).
+        leaves: The basis of a refined field, whose nodes change with its leaves; else None.
+    """
+
+    nodes: npt.NDArray[np.int32]
+    values: Array
+    leaves: LeafBasis | None = None
+
+
 class InitialGuess:
-    """The increments of the last step, as a first guess of the next increments.
+    """The increments of the last steps, as a first guess of the next increments.
 
     Where loads grow evenly, increments hardly change from step to step, and one or two iterations
     of Newton's method are saved. A guess that leaves more than a tenth of the forces out of balance
     is not taken. The next guess is then tried after some steps, twice as many each time.
+
+    The change from the last step but one to the last step goes on if this would have been a good
+    guess of the last step: if it had left less than half of its change. Else the guess is the
+    increments of the last step.
 
     Material flows past a rigid body in much the same way from step to step. With the last
     increments, the points touch the body at its new place, and points that yield are found to
@@ -49,10 +73,12 @@ class InitialGuess:
         self._wait, self._next = 0, 1
         # iterations of the last solution from zero increments
         self._plain = 2
-        # per field: owned nodes, and their increments in a step of length 1
-        self._parts: list[tuple[npt.NDArray[np.int32], Array]] = []
-        # per field: the basis of a refined field, whose nodes change with its leaves
-        self._leaves: list[LeafBasis | None] = []
+        # per field, in the last step and in the step before, and the lengths of these steps
+        self._last: list[_Kept] = []
+        self._former: list[_Kept] = []
+        self._lengths = 1.0, 1.0
+        # per field: whether changes go on
+        self._goes_on: list[bool] = []
         # ranks of the nodes
         self._partition: Partition | None = None
 
@@ -78,10 +104,8 @@ class InitialGuess:
             self._wait, self._next = self._next + 1, min(2 * self._next, _MOST_WAIT)
 
     def keep(self, operator: Operator) -> None:
-        """Keep the present increments of an operator."""
-        here = operator.here
-        self._parts, self._partition = [], operator.form.points.partition
-        self._leaves = []
+        """Keep the present increments of an operator. Collective."""
+        here, kept, partition = operator.here, [], operator.form.points.partition
         for field, own, u, scale in zip(
             here.fields, here.unknowns.fields, operator.increments, self._scales(operator)
         ):
@@ -90,10 +114,59 @@ class InitialGuess:
                 # nodes that are constrained now may be free in the next step
                 nodes, values = field.active, np.asarray(field.C @ u)
             leaves = field.basis if isinstance(field.basis, LeafBasis) else None
-            self._leaves.append(leaves)
             if leaves is None:
                 nodes = nodes[: np.searchsorted(nodes, own.numbering.owned)]
-            self._parts.append((nodes, np.asarray(values[nodes] / scale, np.float64)))
+            values = np.asarray(values[nodes] / scale, np.float64)
+            kept.append(_Kept(nodes, values, leaves))
+        if self._partition is not partition:
+            self._last, self._former, self._partition = [], [], partition
+        rates = [name is None for name in operator.form.values]
+        self._goes_on = self._judged(kept, rates, here.unknowns.comm)
+        self._former, self._last = self._last, kept
+        self._lengths = self.length, self._lengths[0]
+
+    def _judged(self, kept: list[_Kept], rates: Sequence[bool], comm: MPI.Intracomm) -> list[bool]:
+        """Whether the increments are nearer to changes that go on, per field. Collective.
+
+        Args:
+            kept: The present increments.
+            rates: Whether the kept ones are those in a step of length 1, per field.
+            comm: Communicator of the unknowns.
+        """
+        sums = np.zeros((len(kept), 2))
+        for k, (now, last, ahead) in enumerate(zip(kept, self._last, self._ahead(rates))):
+            if now.leaves is last.leaves and ahead is not None:
+                _, own, others = np.intersect1d(
+                    now.nodes, last.nodes, assume_unique=True, return_indices=True
+                )
+                for j, values in enumerate((last.values + ahead, last.values)):
+                    sums[k, j] = np.sum((now.values[own] - values[others]) ** 2)
+        on, same = comm.allreduce(sums, op=MPI.SUM).T
+        return [bool(good) for good in on < _NEARER**2 * same]
+
+    def _ahead(self, rates: Sequence[bool]) -> list[Array | None]:
+        """Changes of the kept increments from the last step to a step of the present length.
+
+        The rate of a step is that in its middle; values that are carried change with its length.
+
+        Args:
+            rates: See `_judged`.
+        """
+        last, former = self._lengths
+        found: list[Array | None] = []
+        for k, rate in enumerate(rates):
+            found.append(None)
+            if k >= len(self._former) or self._former[k].leaves is not self._last[k].leaves:
+                continue
+            apart = (self.length + last) / (last + former) if rate else self.length / last
+            one, two = self._last[k], self._former[k]
+            _, own, others = np.intersect1d(
+                one.nodes, two.nodes, assume_unique=True, return_indices=True
+            )
+            change = np.zeros_like(one.values)
+            change[own] = apart * (one.values[own] - two.values[others])
+            found[k] = change
+        return found
 
     def on(self, operator: Operator) -> Array | None:
         """The guess, or None if no increments are known, or all are zero. Collective.
@@ -101,13 +174,17 @@ class InitialGuess:
         Returns:
             The owned unknowns, shape (owned,).
         """
-        if not self._parts or self._partition is not operator.form.points.partition:
+        if not self._last or self._partition is not operator.form.points.partition:
             return None
         nodal = operator.here.unknowns.nodal()
         scales = self._scales(operator)
+        ahead = self._ahead([name is None for name in operator.form.values])
         for k, u in enumerate(nodal.arrays):
-            nodes, values = self._parts[k]
-            old, basis = self._leaves[k], operator.here.fields[k].basis
+            nodes, values, old = self._last[k].nodes, self._last[k].values, self._last[k].leaves
+            change = ahead[k]
+            if change is not None and self._goes_on[k]:
+                values = values + change
+            basis = operator.here.fields[k].basis
             if old is not None and basis is not old:
                 assert isinstance(basis, LeafBasis)
                 whole = np.zeros((old.nodes.size, u.shape[1]))
@@ -127,10 +204,12 @@ class InitialGuess:
         kept: dict[str, npt.NDArray[Any]] = {
             "guess trials": np.array([self._wait, self._next, self._plain])
         }
-        if any(leaves is not None for leaves in self._leaves):
+        if any(part.leaves is not None for part in self._last):
             return kept
-        for k, (nodes, values) in enumerate(self._parts):
-            kept |= {f"guess {k} nodes": nodes, f"guess {k}": values}
+        kept |= {"guess lengths": np.array(self._lengths), "guess ahead": np.array(self._goes_on)}
+        for when, parts in ("last", self._last), ("former", self._former):
+            for k, part in enumerate(parts):
+                kept |= {f"guess {when} {k} nodes": part.nodes, f"guess {when} {k}": part.values}
         return kept
 
     def set_state(self, local: dict[str, npt.NDArray[Any]], partition: Partition | None) -> None:
@@ -140,12 +219,19 @@ class InitialGuess:
             local: Arrays of this rank.
             partition: Partition of the points, which says the ranks of the nodes.
         """
-        self._parts, self._partition, self._leaves = [], partition, []
+        self._partition = partition
         trials = local.get("guess trials", (0, 1, 2))
         self._wait, self._next, self._plain = (int(n) for n in trials)
-        for k in range(sum(name.endswith(" nodes") for name in local if name.startswith("guess"))):
-            self._parts.append((local[f"guess {k} nodes"], local[f"guess {k}"]))
-            self._leaves.append(None)
+        last, former = local.get("guess lengths", (1.0, 1.0))
+        self._lengths = float(last), float(former)
+        self._goes_on = [bool(good) for good in local.get("guess ahead", ())]
+        self._last, self._former = (
+            [
+                _Kept(local[f"guess {when} {k} nodes"], local[f"guess {when} {k}"])
+                for k in range(sum(f"guess {when} {n} nodes" in local for n in range(len(local))))
+            ]
+            for when in ("last", "former")
+        )
 
 
 def _between_leaves(

@@ -50,6 +50,38 @@ def test_even_loads_need_fewer_iterations_from_the_last_increments():
     assert all(record.residuals[-1] <= problem.tolerance for record in problem.history)
 
 
+def test_increments_that_change_evenly_go_on():
+    """Increments grow by the same amount in each step: their change is the guess of the next."""
+    residuals = []
+    for goes_on in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            if not goes_on:
+                patch.setattr(InitialGuess, "_ahead", lambda self, rates: [None] * len(rates))
+            _, problem = run(1e-4 * np.arange(1, 9) ** 2)
+        guesses = [record.residuals[0] for record in problem.history[3:]]
+        residuals.append(max(guesses))
+    assert residuals[0] < 0.01 * residuals[1]
+
+
+def test_the_rate_of_a_step_is_that_in_its_middle():
+    """Steps of unequal lengths, rates that grow linearly with time."""
+    ends = np.array([0.0, 0.3, 0.5, 1.2])
+    middles, lengths = 0.5 * (ends[1:] + ends[:-1]), np.diff(ends)
+    nodes = np.arange(3, dtype=np.int32)
+    rates = [np.outer(np.ones(3), [2.0 + t, 5.0 * t]) for t in middles]
+    guess, other = InitialGuess(), {"guess trials": np.array([0, 1, 2])}
+    for when, k in (("last", 1), ("former", 0)):
+        other |= {f"guess {when} 0 nodes": nodes, f"guess {when} 0": rates[k]}
+    other |= {"guess lengths": lengths[1::-1], "guess ahead": np.array([True])}
+    guess.set_state(other, None)
+    guess.length = lengths[2]
+    (change,) = guess._ahead([True])
+    np.testing.assert_allclose(rates[1] + change, rates[2], rtol=1e-14)
+    (change,) = guess._ahead([False])
+    np.testing.assert_allclose(change, (rates[1] - rates[0]) * lengths[2] / lengths[1])
+    np.testing.assert_equal(guess.state(), other)
+
+
 def test_a_guess_without_use_is_left_out_for_longer_and_longer():
     loads = [1.0, 0.5, 1.0, 0.5, 1.0, 0.5, 1.0]
     tried = []
