@@ -16,12 +16,16 @@ from petsc4py import PETSc
 
 from dolfinmpm.solve.convergencetest import ConvergenceTest
 from dolfinmpm.solve.newton import Newton, Outcome, name_of
-from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.operator import Operator, Residual
 
 __all__ = ["Border", "Bordered"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
+
+# Growth of the out-of-balance force in an iteration from which its step is halved, and the shortest
+# step. A full step of Newton's method may turn points inside out where corners begin to touch.
+_GROWTH, _SHORTEST = 4.0, 1 / 16
 
 
 class Border(Protocol):
@@ -119,9 +123,9 @@ class Bordered:
         balance = ConvergenceTest(newton.tolerance, newton.max_iterations)
         balance.motion, outcome.residuals = motion, balance.residuals
         comm = operator.here.unknowns.comm
+        operator.update_external()
+        found = operator.residual(x)
         while True:
-            operator.update_external()
-            found = operator.residual(x)
             gap, by_x, by_y = border.gap(x)
             # the number of the iteration is at least 1: the residual of a guess is no reference
             reason = balance.test(found.norm, found.reference, len(balance.residuals) + 1)
@@ -145,5 +149,31 @@ class Bordered:
             if not np.isfinite(sums).all() or np.linalg.matrix_rank(system) < m:
                 return "the bordered system is singular"
             change = np.linalg.solve(system, -(gap + sums[:, m]))
-            x += b + A @ change
-            border.move(change)
+            found = self._move(operator, x, b + A @ change, change, found.norm)
+
+    def _move(
+        self, operator: Operator, x: Array, step: Array, change: Array, former: float
+    ) -> Residual:
+        """Take a step, a shorter one where it makes forces out of balance grow much. Collective.
+
+        Args:
+            operator: The equations.
+            x: The owned unknowns, shape (owned,); they are changed.
+            step: Their step, likewise.
+            change: The step of the border's unknowns, shape (m,).
+            former: Norm of the out-of-balance force before the step (N).
+
+        Returns:
+            The out-of-balance force after the step.
+        """
+        share = 1.0
+        x += step
+        self.border.move(change)
+        while True:
+            operator.update_external()
+            found = operator.residual(x)
+            if found.norm <= _GROWTH * former or share <= _SHORTEST:
+                return found
+            share *= 0.5
+            x -= share * step
+            self.border.move(-share * change)
