@@ -10,7 +10,7 @@ from grids import growing
 import dolfinmpm as mpm
 
 # Growth of the cells with distance, and thickness of the layer of equal cells by R. With a layer of
-# R, cells of R/16 are twice as many, and the force differs by 0.2 %.
+# R, cells of R/16 are twice as many; the force differs by 0.2 % in clay, by 2.4 % in sand.
 GROWTH, REACH = 0.35, 0.25
 
 
