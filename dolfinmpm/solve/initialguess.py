@@ -121,7 +121,9 @@ class InitialGuess:
         if self._partition is not partition:
             self._last, self._former, self._partition = [], [], partition
         rates = [name is None for name in operator.form.values]
-        self._goes_on = self._judged(kept, rates, here.unknowns.comm)
+        # it is of no use where the next step will not try a guess
+        soon = self._wait <= 1
+        self._goes_on = self._judged(kept, rates, here.unknowns.comm) if soon else []
         self._former, self._last = self._last, kept
         self._lengths = self.length, self._lengths[0]
 
@@ -136,9 +138,7 @@ class InitialGuess:
         sums = np.zeros((len(kept), 2))
         for k, (now, last, ahead) in enumerate(zip(kept, self._last, self._ahead(rates))):
             if now.leaves is last.leaves and ahead is not None:
-                _, own, others = np.intersect1d(
-                    now.nodes, last.nodes, assume_unique=True, return_indices=True
-                )
+                own, others = _common(now.nodes, last.nodes)
                 for j, values in enumerate((last.values + ahead, last.values)):
                     sums[k, j] = np.sum((now.values[own] - values[others]) ** 2)
         on, same = comm.allreduce(sums, op=MPI.SUM).T
@@ -160,9 +160,7 @@ class InitialGuess:
                 continue
             apart = (self.length + last) / (last + former) if rate else self.length / last
             one, two = self._last[k], self._former[k]
-            _, own, others = np.intersect1d(
-                one.nodes, two.nodes, assume_unique=True, return_indices=True
-            )
+            own, others = _common(one.nodes, two.nodes)
             change = np.zeros_like(one.values)
             change[own] = apart * (one.values[own] - two.values[others])
             found[k] = change
@@ -178,7 +176,9 @@ class InitialGuess:
             return None
         nodal = operator.here.unknowns.nodal()
         scales = self._scales(operator)
-        ahead = self._ahead([name is None for name in operator.form.values])
+        ahead: list[Array | None] = [None] * len(self._last)
+        if any(self._goes_on):
+            ahead = self._ahead([name is None for name in operator.form.values])
         for k, u in enumerate(nodal.arrays):
             nodes, values, old = self._last[k].nodes, self._last[k].values, self._last[k].leaves
             change = ahead[k]
@@ -232,6 +232,15 @@ class InitialGuess:
             ]
             for when in ("last", "former")
         )
+
+
+def _common(
+    one: npt.NDArray[np.int32], other: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Rows of the nodes that both of two sorted arrays have, in each of them."""
+    at = np.searchsorted(other, one)
+    own = np.flatnonzero(np.append(other, -1)[at] == one)
+    return own, at[own]
 
 
 def _between_leaves(
