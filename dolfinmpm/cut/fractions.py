@@ -242,12 +242,10 @@ def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | L
     _add_up(shared, nodes)
     if isinstance(basis, LeafBasis):
         return _shares_on_leaves(basis, sums)
-    whole = np.ones(nodes.size)
+    whole, met = np.ones(nodes.size), sums[:, 1:].reshape(nodes.size, -1, 2)
     for d, line in enumerate(lines):
         ijk = basis.halo.node_ijk[:, d]
-        inside = _support_inside(
-            line, _knots_of(line, basis.degree)[ijk], sums[:, 2 * d + 1 :][:, :2]
-        )
+        inside = _support_inside(line, _knots_of(line, basis.degree)[ijk], met[:, d])
         whole *= integrals(line, basis.degree)[ijk] / inside
     return sums[:, 0] / whole
 
