@@ -21,7 +21,8 @@ Array = npt.NDArray[np.float64]
 
 # A first guess must reduce the forces out of balance to this share of those at zero increments
 _USEFUL = 0.1
-# Changes of increments go on if that leaves at most this share of a change
+# The last change of the increments is added again if it would have left at most this share of the
+# difference between the increments of two steps
 _NEARER = 0.5
 # Most steps without a trial, after guesses were of no use
 _MOST_WAIT = 16
@@ -57,9 +58,7 @@ class InitialGuess:
     Material flows past a rigid body in much the same way from step to step. With the last
     increments, the points touch the body at its new place, and points that yield are found to
     yield. From zero increments, all points are elastic at first. So with contact each guess is
-    tried, and taken if it is nearer to balance than zero increments. That needs the secants that
-    find the length of a step under contact. Without them, as with pressures among the unknowns, no
-    guess is tried beside rigid bodies.
+    tried, and taken if it is nearer to balance than zero increments.
 
     The guess is zero at nodes that were not active.
 

@@ -86,7 +86,7 @@ class Newton:
         tolerance, max_iterations: The arguments.
         search: The line search that is tried first.
         searches: All line searches that are tried; none if the user has chosen one.
-        guess: The increments of the last step.
+        guess: First guess, from the increments of the last steps.
     """
 
     def __init__(
@@ -122,9 +122,7 @@ class Newton:
         outcome = Outcome()
         contact = self._in_contact(operator)
         guess = None
-        # without secants, corners that touch by turns lead away from a guess in which they touch
-        plain = operator.here.driven if contact else operator.has_rigid_contact
-        if self.guess.tried(contact) and not plain:
+        if self.guess.tried(contact) and not (contact and operator.here.driven):
             guess = self.guess.on(operator)
         self._attempt(operator, outcome, guess)
         if guess is not None:

