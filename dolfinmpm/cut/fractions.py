@@ -181,16 +181,21 @@ def _met_sides(where: Placement, stencils: Stencils, basis: LatticeBasis | LeafB
     s, x = stencils, where.x[stencils.order]
     low, high = basis.cell_corners()
     met = np.zeros((basis.nodes.size, low.shape[1], 2))
-    if not s.order.size:
+    # points of other fields have neither cells nor nodes, see `stencils.spread`
+    inside = np.diff(s.cell_start) > 0
+    if not inside.any():
         return met
+    first, nodes_each = s.cell_start[:-1][inside], np.diff(s.node_start)
+    of_group = np.empty(inside.size)
     for d, line in enumerate(basis.lattice.lines):
         size, close = high[:, d] - low[:, d], 1e-9 * (line[-1] - line[0])
         for k, (corner, end) in enumerate(((low, line[0]), (high, line[-1]))):
             half = np.where(np.abs(corner[:, d] - end) <= close, 0.5 * size, -1.0)
-            of_group = np.maximum.reduceat(half[s.cells], s.cell_start[:-1])
+            of_group[:] = -1.0
+            of_group[inside] = np.maximum.reduceat(half[s.cells], first)
             near = np.abs(x[:, d] - end) <= np.repeat(of_group, np.diff(s.groups))
             groups = np.logical_or.reduceat(near, s.groups[:-1])
-            met[s.nodes[np.repeat(groups, np.diff(s.node_start))], d, k] = 1.0
+            met[s.nodes[np.repeat(groups, nodes_each)], d, k] = 1.0
     return met
 
 

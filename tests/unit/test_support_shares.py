@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm.basis.stencils import spread
 from dolfinmpm.cut.fractions import support_shares
 
 
@@ -51,3 +52,20 @@ def test_leaves_of_one_size_have_the_shares_of_a_grid(degree):
     known = {tuple(x): k for k, x in enumerate(np.round(plain.node_coordinates(), 9))}
     same = [known[tuple(x)] for x in np.round(basis.node_coordinates(), 9)]
     assert found == pytest.approx(on_lattice[same], abs=1e-13)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_points_of_other_fields_count_nowhere(degree):
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, 5)] * 2)
+    where = mpm.fill(grid, mpm.Box((0, 0), (4, 2.5)), 4, 1.0).placement()
+    basis = mpm.Space(grid, f"bspline{degree}").basis
+    rows = np.flatnonzero(where.x[:, 1] < 1.5)
+    own = where.of(rows)
+    low = basis.stencils(own)
+    expected = support_shares(own, low, basis)
+    assert expected.min() == 0.0 < expected.max()
+    found = support_shares(where, spread(low, rows, len(where.x)), basis)
+    assert found == pytest.approx(expected, abs=1e-13)
+    none = np.empty(0, int)
+    nowhere = spread(basis.stencils(where.of(none)), none, len(where.x))
+    assert not support_shares(where, nowhere, basis).any()
