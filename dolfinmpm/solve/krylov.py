@@ -17,6 +17,7 @@ from dolfinmpm.solve.substructures import Substructures
 
 __all__ = [
     "DIGITS",
+    "MOST",
     "MOST_OF_FACTORS",
     "WithoutSoftStiffness",
     "create",
@@ -33,6 +34,8 @@ _FIRST_OF_INCOMPLETE, _MOST_OF_INCOMPLETE = 1e-5, 200
 # Factors of a former tangent: digits are cheap, and iterations of Newton's method are expensive.
 # New factors cost less than more iterations than the second number.
 _FIRST_OF_FACTORS, MOST_OF_FACTORS = 1e-6, 30
+# More iterations with multigrid are a failure
+MOST = 500
 
 
 def keeps(method: Method, options: Options) -> bool:
@@ -56,7 +59,7 @@ def create(comm: MPI.Intracomm, method: Method, options: Options, softened: bool
     ksp = snes.getKSP()
     ksp.setType(method.ksp)
     if keeps(method, options):
-        ksp.setTolerances(rtol=DIGITS, max_it=_MOST_OF_INCOMPLETE if method.incomplete else 500)
+        ksp.setTolerances(rtol=DIGITS, max_it=_MOST_OF_INCOMPLETE if method.incomplete else MOST)
         # Newton's method needs the norm of the true residual
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         if method.ksp == "gmres":
@@ -87,6 +90,9 @@ def _suggestions(method: Method, options: Options) -> dict[str, object]:
     if keeps(method, options):
         # `PreconditionerReuse` decides when SNES makes a new preconditioner
         own["snes_lag_preconditioner"] = -2
+    if method.ksp == "gmres":
+        # where vectors are nearly parallel, classical Gram–Schmidt without it loses convergence
+        own["ksp_gmres_cgs_refinement_type"] = "refine_ifneeded"
     if pc in ("lu", "cholesky") and package is None:
         own["pc_factor_mat_solver_type"] = "mumps"
     if pc is None and package not in (None, "cholmod"):

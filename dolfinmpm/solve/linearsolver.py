@@ -12,7 +12,6 @@ from petsc4py import PETSc
 
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve import krylov, latticelevels, schur
 from dolfinmpm.solve.method import Method, Tangent, as_used, crossover
 from dolfinmpm.solve.mumps import WORKSPACE, Mumps
@@ -22,6 +21,7 @@ from dolfinmpm.solve.preconditionerreuse import PreconditionerReuse
 from dolfinmpm.solve.solverchoice import MethodChoice
 from dolfinmpm.solve.spectra import near_kernel
 from dolfinmpm.solve.substructures import Substructures
+from dolfinmpm.solve.symmetrytest import looks_symmetric
 
 __all__ = ["WORKSPACE", "LinearSolver"]
 
@@ -29,14 +29,10 @@ Array = npt.NDArray[np.float64]
 
 # PETSc's error codes of an external library and of zero pivots in LU and Cholesky
 _FACTORISATION = (76, 71, 81)
-# Bound of yᵀKx − xᵀKy by rounding, relative to the size of the products
-_SYMMETRIC = 1e-9
 # Factor of the residual that is expected after an iteration with a former tangent
 _SAFE = 4.0
 # Iterations of one more solution with the same tangent
 MOST_AGAIN = 500
-# Size of the increments in the test of symmetry, in cells
-_NEAR = 1e-4
 
 
 class LinearSolver:
@@ -128,12 +124,13 @@ class LinearSolver:
         here = operator.here
         self._former, self.has_tangent = None, False
         self.version += 1
-        self.choice.doubt.left = max(self.choice.doubt.left - 1, 0)
+        self.choice.attached()
         self._choose(here.unknowns.total)
         self._take_matrix(here)
         if self.choice.tangent.symmetric and not self._checked:
             self._checked = True
-            if not self._looks_symmetric(operator):
+            assert self.matrix is not None
+            if not looks_symmetric(operator, self.matrix):
                 self.choice.tangent = replace(self.choice.tangent, symmetric=False)
                 self._choose(here.unknowns.total)
                 self._take_matrix(here)
@@ -193,26 +190,6 @@ class LinearSolver:
             self._choose(here.unknowns.total)
             self._take_matrix(here)
 
-    def _looks_symmetric(self, operator: Operator) -> bool:
-        """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective.
-
-        Of many points, a sample tells.
-        """
-        assert self.matrix is not None
-        random = np.random.default_rng(operator.here.unknowns.comm.rank)
-        n, scale = operator.here.unknowns.owned, _NEAR * smallest_height(operator.form.points.grid)
-        # without strain, some unsymmetric tangents are symmetric
-        operator.move(scale * random.uniform(-1, 1, n))
-        with operator.points.sampled():
-            operator.tangent(self.matrix)
-        x, y, Kx, Ky = (self.vector() for _ in range(4))
-        for v in (x, y):
-            v.getArray()[:] = random.uniform(-1, 1, n)
-        self.matrix.petsc.mult(x, Kx)
-        self.matrix.petsc.mult(y, Ky)
-        size = Kx.norm() * y.norm()
-        return abs(y.dot(Kx) - x.dot(Ky)) <= _SYMMETRIC * size
-
     def relax(self) -> bool:
         """Choose a more robust method after a failure; returns whether there is one.
 
@@ -248,6 +225,9 @@ class LinearSolver:
             # new incomplete factors are cheap; old ones may suddenly need many iterations
             self.reuse.renew()
         self._prepare()
+        if not method.factors and not method.incomplete and not self._options.has("ksp_max_it"):
+            most = self.reuse.most(self._ksp.getTolerances()[0], krylov.MOST)
+            self._ksp.setTolerances(max_it=most)
 
     def serves(self, norm: float, enough: float) -> bool:
         """Prepare another solution with the last tangent, if it is good enough for the iteration.
@@ -316,6 +296,8 @@ class LinearSolver:
             if method.factors or method.incomplete:
                 # later right-hand sides of the same matrix need all digits, too
                 self.reuse.renew()
+            elif not self._options.has("ksp_max_it"):
+                ksp.setTolerances(max_it=krylov.MOST)
         self._prepare()
         ksp.solve(b, y)
         ksp.setInitialGuessNonzero(False)

@@ -27,6 +27,9 @@ _NANOSECONDS = {
 # multigrid of all kinds, and the user's choice
 _OTHERWISE = (0.6, 1.0, 40.0)
 
+# Cost beyond that with a fresh preconditioner at which a solution ends, in set-ups
+_ENDS_AT = 2.0
+
 # Half the number of set-ups before a preconditioner is kept again, after one has failed
 _FRESH_ONES = 16
 
@@ -85,6 +88,8 @@ class PreconditionerReuse:
         # cost per digit when fresh; extra cost of the last solution, and of all with the present
         # preconditioner
         self._fresh = self._last = math.nan
+        # cost of an iteration when fresh
+        self._each = math.nan
         self._spent = 0.0
         self.old, self.counts, self.rests = False, (0, 0), False
         # solutions with the present preconditioner; set-ups before one is kept again, now and the
@@ -138,6 +143,18 @@ class PreconditionerReuse:
             self._fresh = math.nan
             self.counts = self.counts[0], self.counts[1] + 1
 
+    def most(self, share: float, otherwise: int) -> int:
+        """Number of iterations at which a solution with the present preconditioner ends.
+
+        Args:
+            share: Relative residual at which the solution may end.
+            otherwise: Number with a fresh preconditioner, and the largest one.
+        """
+        if not (self.old and self._each > 0.0):
+            return otherwise
+        cost = self._fresh * -math.log10(share) + _ENDS_AT * self._setup
+        return min(math.ceil(cost / self._each), otherwise)
+
     def watch(self, ksp: PETSc.KSP) -> None:
         """Count the cost of all later solutions of a solver."""
         # a strong reference from the solver to its owner would keep both in memory for ever
@@ -160,12 +177,16 @@ class PreconditionerReuse:
         cost = self._add(solution_cost(ksp.getPC(), flops - self._flops), iterations, 1)
         self._flops = flops
         if not self.old:
-            self._fresh = cost / digits
+            self._fresh, self._each = cost / digits, cost / max(iterations, 1)
         self._last = max(cost - digits * self._fresh, 0.0)
         self._spent += self._last
         self.counts = self.counts[0] + 1, self.counts[1]
         self._age += 1
         self.iterations.append(iterations)
+        if self.old and ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+            # see `most`
+            ksp.setConvergedReason(PETSc.KSP.ConvergedReason.CONVERGED_ITS)
+            self.renew()
 
     def _add(self, cost: float, iterations: int = 0, solutions: int = 0) -> float:
         """Add a cost; returns the largest of all ranks, for which the others wait. Collective."""

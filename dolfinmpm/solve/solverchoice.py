@@ -73,7 +73,7 @@ class IncompleteFactorsChoice:
 
 @dataclass
 class Doubt:
-    """Time for which a tangent counts as indefinite, after a tangent was not positive definite.
+    """Time for which a method is not tried, after it has failed. It is longer each time.
 
     Attributes:
         left: Attached matrices until the end of this time.
@@ -100,6 +100,7 @@ class MethodChoice:
     Attributes:
         tangent: The argument.
         doubt: Time for which the tangent counts as indefinite.
+        no_iterations: Time for which only factors solve, after iterations have failed.
         no_substructures: Reason against one substructure per rank, or an empty string.
         no_incomplete: Whether incomplete factors are left out.
     """
@@ -110,11 +111,10 @@ class MethodChoice:
             # another multigrid by options has its own levels
             tangent = replace(tangent, degree=0)
         self.tangent, self.doubt, self.no_incomplete = tangent, Doubt(), False
+        self.no_iterations = Doubt()
         self.no_substructures = why_not(comm)
         if options.mentions("mat_mumps_"):
             self.no_substructures = "the options set MUMPS"
-        # iterations have failed, so only factors remain
-        self._direct = False
         self._incomplete = IncompleteFactorsChoice()
 
     @property
@@ -122,14 +122,19 @@ class MethodChoice:
         """Whether a symmetric tangent counts as positive definite at present."""
         return self.tangent.definite and self.doubt.left == 0
 
+    def attached(self) -> None:
+        """Count another matrix."""
+        for doubt in self.doubt, self.no_iterations:
+            doubt.left = max(doubt.left - 1, 0)
+
     def method(self, count: int) -> Method:
         """The method for a number of unknowns."""
         # the user's choice is not changed
         free = not any(self._options.has(name) for name in _OF_METHOD)
+        incomplete = free and self._incomplete.incomplete and not self.no_incomplete
         found = choose(
             replace(self.tangent, definite=self.definite), count, self._gdim, self._ranks,
-            self._direct, free and self._incomplete.incomplete and not self.no_incomplete,
-            not self.no_substructures,
+            self.no_iterations.left > 0, incomplete, not self.no_substructures,
         )  # fmt: skip
         if self._ranks > 1 and self.no_substructures and self.definite and found.pc == "cholesky":
             why = f"{found.why}, not in substructures: {self.no_substructures}"
@@ -154,7 +159,7 @@ class MethodChoice:
                 # the cost of incomplete factors must not count for the other method
                 reuse.taken()
         elif not method.factors:
-            self._direct = True
+            self.no_iterations.grow()
         else:
             return False
         return True

@@ -13,7 +13,7 @@ import dolfinmpm as mpm
 from dolfinmpm.solve import krylov, method
 from dolfinmpm.solve.method import SUBSTRUCTURES, Tangent, choose
 from dolfinmpm.solve.schur import schur_matrix
-from dolfinmpm.solve.solverchoice import IncompleteFactorsChoice
+from dolfinmpm.solve.solverchoice import IncompleteFactorsChoice, MethodChoice
 
 ELASTIC = {"E": 1e3, "nu": 0.3}
 
@@ -223,6 +223,23 @@ def test_incomplete_factors_that_failed_wait_for_longer_each_time():
             choice.weigh(1.0, 1.0)
             waits[-1] += 1
     assert waits == [8, 16, 32, 64, 128, 128]
+
+
+def test_iterations_that_failed_wait_for_longer_each_time():
+    problem = block(kind="hexahedron")
+    choice = MethodChoice(
+        problem.comm, 3, Tangent(False, False, False), problem.newton.linear._options
+    )
+    choice.no_incomplete, waits = True, []
+    for _ in range(6):
+        method = choice.method(10_000)
+        assert method.pc == "gamg"
+        assert choice.failed(method, None)
+        waits.append(0)
+        while choice.method(10_000).pc == "lu":
+            choice.attached()
+            waits[-1] += 1
+    assert waits == [4, 8, 16, 32, 64, 64]
 
 
 @pytest.mark.parametrize("many", [False, True])

@@ -19,7 +19,7 @@ from dolfinmpm.solve.preconditionerreuse import PreconditionerReuse, setup_cost,
 class Counted:
     """A Krylov solver, and its preconditioner, whose flops are set."""
 
-    kept, flops, after = False, 0.0, 1e-3
+    kept, flops, after, reason = False, 0.0, 1e-3, 2
 
     def setReusePreconditioner(self, flag):
         self.kept = flag
@@ -38,6 +38,12 @@ class Counted:
 
     def getIterationNumber(self):
         return 1
+
+    def getConvergedReason(self):
+        return self.reason
+
+    def setConvergedReason(self, reason):
+        self.reason = reason
 
     def solve(self, reuse, cost):
         PETSc.Log.logFlops(cost / OTHERWISE[0])
@@ -109,6 +115,28 @@ def test_residuals_that_are_no_numbers_count_no_digits(monkeypatch, after):
     ksp.after = after
     ksp.solve(reuse, 1e3)
     assert reuse.iterations == [1]
+
+
+def test_too_many_iterations_with_an_old_preconditioner_end_early(monkeypatch):
+    """They end at two set-ups more than with a fresh one, which is made next; no failure."""
+    monkeypatch.setattr(reuse_module, "setup_cost", lambda pc, flops: 8e3)
+    reuse, ksp = PreconditionerReuse(MPI.COMM_SELF), Counted()
+    reuse.prepare(ksp)
+    assert reuse.most(1e-6, 500) == 500
+    ksp.solve(reuse, 1e3)
+    reuse.prepare(ksp)
+    assert reuse.old
+    # an iteration costs 1e3, and reduces the residual by three digits
+    assert reuse.most(1e-6, 500) == 18
+    assert reuse.most(1e-6, 10) == 10
+    ksp.reason = PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
+    ksp.solve(reuse, 2e3)
+    assert ksp.reason == PETSc.KSP.ConvergedReason.CONVERGED_ITS
+    reuse.prepare(ksp)
+    assert not reuse.old
+    ksp.reason = PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
+    ksp.solve(reuse, 2e3)
+    assert ksp.reason == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
 
 
 def laplacian(n=30):
