@@ -301,7 +301,7 @@ class _Builder:
             share: Share of the step's prescribed increments.
         """
         self._share("full_stencils", lambda d: d.stencils(self._where, self.boundaries))
-        self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis.nodes))
+        self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis))
         self._find_roots()
         fixed, prescribed = conditions.at([d.basis for d in self._drafts], share)
         grid, moving = self._points.grid, self._moving
@@ -332,7 +332,7 @@ class _Builder:
                 # fields that share a basis must still share it
                 other.basis = wider if other.basis is basis else other.basis
         if found:
-            self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis.nodes))
+            self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis))
 
     def _active(self, draft: _Draft, fixed: Fixed) -> ActiveField:
         """One field on the active cells, with points and markers together. Collective."""

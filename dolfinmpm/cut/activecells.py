@@ -27,9 +27,19 @@ def _flags(indices: npt.NDArray[np.int32], numbering: Numbering) -> npt.NDArray[
     return numbering.share_flags(flags)
 
 
-def active_nodes(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.int32]:
-    """Nodes in the stencils of points on any rank, in increasing local order. Collective."""
-    return np.flatnonzero(_flags(stencils.nodes, numbering)).astype(np.int32)
+def active_nodes(
+    stencils: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis
+) -> npt.NDArray[np.int32]:
+    """Nodes in the stencils of points on any rank, in increasing local order. Collective.
+
+    The nodes that a hanging node follows are active too. They may be those of a large leaf without
+    points of the field, which only points of another field overlap.
+    """
+    flags = _flags(stencils.nodes, basis.nodes)
+    if isinstance(basis, LeafBasis):
+        flags[basis.hanging[np.flatnonzero(flags)].indices] = True
+        flags = basis.nodes.share_flags(flags)
+    return np.flatnonzero(flags).astype(np.int32)
 
 
 def active_cells(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.bool_]:

@@ -162,7 +162,7 @@ def _integrals_on_leaves(basis: LeafBasis) -> Array:
     leaf_integrals(basis.knots[:own], lines)
     each = np.ones((own, 1))
     for d in range(gdim):
-        each = (each[:, :, None] * lines[:, d, None]).reshape(own, -1)
+        each = (each[:, :, None] * lines[:, d, None]).reshape(own, each.shape[1] * lines.shape[2])
     shared = basis.nodes.vector()
     np.add.at(shared.array, basis.corner_nodes[:own].ravel(), each.ravel())
     _add_up(shared, basis.nodes)
@@ -240,14 +240,14 @@ def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis | L
     """
     nodes, s, lines = basis.nodes, stencils, basis.lattice.lines
     shared = nodes.vector(1 + 2 * len(lines))
-    sums, part = shared.array.reshape(nodes.size, -1), np.zeros(nodes.size)
+    sums, part = shared.array.reshape(-1, 1 + 2 * len(lines)), np.zeros(nodes.size)
     add_weighted(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, where.volume, part)
     sums[:, 0] = part
-    sums[:, 1:] = _met_sides(where, s, basis).reshape(nodes.size, -1)
+    sums[:, 1:] = _met_sides(where, s, basis).reshape(-1, 2 * len(lines))
     _add_up(shared, nodes)
     if isinstance(basis, LeafBasis):
         return _shares_on_leaves(basis, sums)
-    whole, met = np.ones(nodes.size), sums[:, 1:].reshape(nodes.size, -1, 2)
+    whole, met = np.ones(nodes.size), sums[:, 1:].reshape(-1, len(lines), 2)
     for d, line in enumerate(lines):
         ijk = basis.halo.node_ijk[:, d]
         inside = _support_inside(line, _knots_of(line, basis.degree)[ijk], met[:, d])
@@ -265,12 +265,12 @@ def _shares_on_leaves(basis: LeafBasis, known: Array) -> Array:
     """
     H, owned, nodes = basis.hanging, basis.hanging[: basis.nodes.owned], basis.nodes
     shared = nodes.vector(known.shape[1] + 1)
-    sums = shared.array.reshape(nodes.size, -1)
+    sums = shared.array.reshape(-1, known.shape[1] + 1)
     own = np.column_stack([_integrals_on_leaves(basis), known])[: nodes.owned]
     sums[:] = owned.T @ own
     _add_up(shared, nodes)
     wholes, parts = sums[:, 0] + basis.integrals_outside(), sums[:, 1].copy()
-    met = sums[:, 2:].reshape(nodes.size, -1, 2)
+    met = sums[:, 2:].reshape(-1, len(basis.lattice.lines), 2)
     for d, line in enumerate(basis.lattice.lines):
         parts *= _support_inside(line, basis.inner_knots[:, d], met[:, d])
     shares = np.divide(parts, wholes, out=np.zeros(nodes.size), where=~basis.hangs)

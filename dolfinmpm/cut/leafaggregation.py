@@ -58,6 +58,8 @@ def leaf_constraints(
     roots = roots[np.argsort(basis.leaf[roots], kind="stable")]
     nearest = _nearest(basis, outer, roots)
     outer, nearest = outer[nearest >= 0], nearest[nearest >= 0]
+    if not outer.size:
+        return
     weights: Array = np.ones((outer.size, 1))
     for d in range(basis.knots.shape[1]):
         along = extended(basis.knots[nearest, d], basis.inner_knots[outer, d])

@@ -198,12 +198,13 @@ class Pattern:
         fields = unknowns.fields
         active = np.concatenate([f.nodes + np.int32(f.offset) for f in fields])
         n = active.size
-        compact = np.empty(sum(f.numbering.size for f in fields), np.int32)
+        compact = np.full(sum(f.numbering.size for f in fields), -1, np.int32)
         compact[active] = np.arange(n, dtype=np.int32)
         empty = [np.empty(0, np.int32)]
         extra_rows = np.concatenate(empty + [rows for rows, _ in pairs])
         extra_columns = np.concatenate(empty + [columns for _, columns in pairs])
         node_start, nodes = _one_after_the_other(lists)
+        assert compact[nodes].min(initial=0) >= 0, "a coupled node is not active"
         start, neighbours = _graph(
             n, node_start, compact[nodes], compact[extra_rows], compact[extra_columns]
         )

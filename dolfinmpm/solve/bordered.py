@@ -149,7 +149,10 @@ class Bordered:
             if not np.isfinite(sums).all() or np.linalg.matrix_rank(system) < m:
                 return "the bordered system is singular"
             change = np.linalg.solve(system, -(gap + sums[:, m]))
-            found = self._move(operator, x, b + A @ change, change, found.norm)
+            # forces that the border's equations add are to be balanced by the step, too
+            added = slopes @ change
+            size = float(np.sqrt(comm.allreduce(float(added @ added), op=MPI.SUM)))
+            found = self._move(operator, x, b + A @ change, change, max(found.norm, size))
 
     def _move(
         self, operator: Operator, x: Array, step: Array, change: Array, former: float
