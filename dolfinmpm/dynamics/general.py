@@ -24,7 +24,7 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
@@ -87,7 +87,7 @@ class GeneralSteps(ExplicitBase):
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(problem.terms, here, settings.scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        momenta = self._momenta(mass, s, x_node)
+        momenta = self._momenta(mass, field, x_node)
         before = self._before(step, held, field.basis)
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, before, fastest).arrays[0]
@@ -106,11 +106,11 @@ class GeneralSteps(ExplicitBase):
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
         V_end = self._end((V, A), mass, here, held, kick, step.t - dt)
-        new = self._to_points(operator, s, x_node, NodalMotion(V, A, V_end, A), mass, dt)
+        new = self._to_points(operator, field, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_strain, V_move = V if settings.scheme == "usf" else V_end, V_end
         if settings.scheme == "musl":
-            V_strain = V_move = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
+            V_strain = V_move = mass.solve(self._momenta(mass, field, x_node, new), held).arrays[0]
         moved = points["x"] + dt * collect(s, V_move)
         operator.set_increments([dt * V_strain])
         if held_by is not None and settings.clock is not None:
@@ -146,7 +146,7 @@ class GeneralSteps(ExplicitBase):
     def _to_points(
         self,
         operator: Operator,
-        s: Stencils,
+        field: ActiveField,
         x_node: Array,
         motion: NodalMotion,
         mass: Mass,
@@ -158,7 +158,7 @@ class GeneralSteps(ExplicitBase):
         if mapping.kind == "tpic":
             operator.set_increments([dt * motion.V_end])
             gradient = operator.points.gradient[0] / dt
-        return mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
+        return mapping.to_points(points, field, x_node, motion, mass, dt, 1.0, gradient)
 
     @staticmethod
     def _work_of_boundaries(mass: Mass, here: Activation, force: Array | None, u: Array) -> float:
@@ -198,10 +198,10 @@ class GeneralSteps(ExplicitBase):
         return mass.comm.allreduce(own, op=MPI.SUM)
 
     @stages.assemble
-    def _momenta(self, mass: Mass, s: Stencils, x_node: Array, new=None) -> Nodal:
+    def _momenta(self, mass: Mass, field: ActiveField, x_node: Array, new=None) -> Nodal:
         """Momenta of the nodes from the points' velocities, or from new velocities. Collective."""
         momenta = mass.nodal()
-        self._settings.mapping.to_grid(self._problem.points, s, x_node, momenta, new)
+        self._settings.mapping.to_grid(self._problem.points, field, x_node, momenta, new)
         momenta.arrays[0][...] *= self._settings.scaling
         return momenta
 

@@ -142,7 +142,7 @@ class GridMotion:
         mass = Mass(self.terms, here, k=k)
         momenta = mass.nodal()
         x_node = field.basis.node_coordinates()
-        self.mapping.to_grid(points, field.stencils, x_node, momenta)
+        self.mapping.to_grid(points, field, x_node, momenta)
         given = momenta.arrays[0].copy()
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, rates, fastest).arrays[0]
@@ -279,7 +279,7 @@ class GridMotion:
             dF = np.eye(points.gdim) + operator.points.gradient[one.k]
             gradient = gradient @ np.linalg.inv(dF)
         return self.mapping.to_points(
-            points, s, x_node, motion, one.mass, dt, self.rule.gamma, gradient
+            points, field, x_node, motion, one.mass, dt, self.rule.gamma, gradient
         )
 
     def errors(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> Array:

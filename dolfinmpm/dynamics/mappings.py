@@ -17,6 +17,7 @@ from dolfinmpm._platform.argumentchecks import choice, number, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
@@ -137,16 +138,19 @@ class Mapping:
     def to_grid(
         self,
         points: MaterialPoints,
-        s: Stencils,
+        field: ActiveField,
         x_node: Array,
         out: Nodal,
         new: dict[str, Array] | None = None,
     ) -> None:
         """Add the momenta of the points to nodal sums (kg m/s), and sum over ranks. Collective.
 
+        Nodes that follow others have momenta of affine velocities at their own positions, which
+        go to the others by Cᵀ. This fits the lumped mass Cᵀ M_L C, see `MassTerms`.
+
         Args:
             points: The points.
-            s: Their stencils.
+            field: Their field.
             x_node: Positions of the nodes (m).
             out: Nodal sums to add to.
             new: Field → velocities or affine parts to use instead of the points' values.
@@ -154,16 +158,20 @@ class Mapping:
         given = points.fields if new is None else new
         m, v = point_masses(points), given["velocity"]
         if self.affine:
-            C = self._gradient(given, points, s, x_node)
-            scatter_affine(s, x_node, points["x"], m, v, C, out.arrays[0])
+            s = field.full_stencils
+            G = self._gradient(given, points, s, x_node)
+            sums = out.arrays[0] if field.C is None else np.zeros_like(out.arrays[0])
+            scatter_affine(s, x_node, points["x"], m, v, G, sums)
+            if field.C is not None:
+                out.arrays[0][...] += field.C.T @ sums
         else:
-            scatter(s, m, v, out.arrays[0])
+            scatter(field.stencils, m, v, out.arrays[0])
         out.add_up()
 
     def to_points(
         self,
         points: MaterialPoints,
-        s: Stencils,
+        field: ActiveField,
         x_node: Array,
         motion: NodalMotion,
         mass: Mass,
@@ -175,7 +183,7 @@ class Mapping:
 
         Args:
             points: The points at the start of the step.
-            s: Their stencils.
+            field: Their field.
             x_node: Positions of the nodes (m).
             motion: Motion of the nodes.
             mass: Mass at the nodes.
@@ -185,6 +193,7 @@ class Mapping:
                 (points, d, d). It is by positions at the end, or at the start if the points have
                 yet to move.
         """
+        s = field.stencils
         v, a_new = points["velocity"], collect(s, motion.A_end)
         new = {"acceleration": a_new}
         if self.kind == "accel":
@@ -198,18 +207,20 @@ class Mapping:
                 velocity = self.share * velocity + (1 - self.share) * collect(s, motion.V_end)
             new["velocity"] = velocity
         elif self.kind == "xpic":
-            filtered = self._filtered(points, s, motion.V, mass)
+            filtered = self._filtered(points, field, motion.V, mass)
             new["velocity"] = collect(s, filtered + motion.V_end - motion.V)
         elif self.kind == "fmpm":
-            new["velocity"] = collect(s, self._filtered(points, s, motion.V_end, mass))
+            new["velocity"] = collect(s, self._filtered(points, field, motion.V_end, mass))
         else:
             new["velocity"] = collect(s, motion.V_end)
             if self.kind == "apic":
-                V_p = new["velocity"]
-                B = moments(s, motion.V_end, V_p, x_node[:, : points.gdim], points["x"])
+                V_p, every, C = new["velocity"], field.full_stencils, field.C
+                V_end = motion.V_end if C is None else C @ motion.V_end
+                B = moments(every, V_end, V_p, x_node[:, : points.gdim], points["x"])
                 if motion.u is not None:
                     # angular momentum refers to the new positions of nodes and points
-                    W = moments(s, motion.V_end, V_p, motion.u, collect(s, motion.u))
+                    u = motion.u if C is None else C @ motion.u
+                    W = moments(every, V_end, V_p, u, collect(every, u))
                     B += 0.5 * (W - np.swapaxes(W, 1, 2))
                 new["velocity_moment"] = B
             elif self.kind == "tpic":
@@ -224,14 +235,18 @@ class Mapping:
         D = moments(s, nodes, x, nodes, x)
         return given["velocity_moment"] @ np.linalg.inv(D)
 
-    def _filtered(self, points: MaterialPoints, s: Stencils, V: Array, mass: Mass) -> Array:
+    def _filtered(self, points: MaterialPoints, field: ActiveField, V: Array, mass: Mass) -> Array:
         """V_k with V_{j+1} = V_j + M_L⁻¹ (M_L V − M V_j), V_1 = V. Collective."""
         m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
-        filtered, weights = V, point_masses(points)
+        s, filtered, weights = field.stencils, V, mass.scaling * point_masses(points)
         for _ in range(self.order - 1):
             product = mass.nodal()
             scatter(s, weights, collect(s, filtered), product.arrays[0])
             product.add_up()
+            if field.C is not None:
+                # Cᵀ M_L C has no row sums to divide by; held components stay
+                filtered = filtered + V - mass.solve(product, V).arrays[0]
+                continue
             product.spread()
             filtered = filtered + V - product.arrays[0] / m
         return filtered

@@ -48,6 +48,7 @@ class Mass:
         k: Number of the field.
 
     Attributes:
+        scaling: The argument.
         lumped: Row sums of the mass (kg), shape (nodes,), on all ranks that know the nodes.
         iterations: CG iterations of the last solution.
     """
@@ -55,7 +56,7 @@ class Mass:
     @stages.assemble
     def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0, k: int = 0):
         self._terms, self._here, self._k = terms, here, k
-        self._field = here.fields[k]
+        self._field, self.scaling = here.fields[k], scaling
         self.blocks = here.blocks_of("mass", k)
         if scaling != 1.0:
             self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]

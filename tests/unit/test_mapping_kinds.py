@@ -57,9 +57,9 @@ def test_filters_of_one_stage_are_pic_and_of_many_a_consistent_mass():
     mapping, s = problem.motion.mapping, field.stencils
     momenta = mass.nodal()
     x_node = field.basis.node_coordinates()
-    mapping.to_grid(problem.points, s, x_node, momenta)
+    mapping.to_grid(problem.points, field, x_node, momenta)
     lumped = mass.solve(momenta, np.zeros_like(momenta.arrays[0])).arrays[0]
-    filtered = transfer.collect(s, mapping._filtered(problem.points, s, lumped, mass))
+    filtered = transfer.collect(s, mapping._filtered(problem.points, field, lumped, mass))
     once = transfer.collect(s, lumped)
     v = problem.points["velocity"]
     assert np.abs(once - v).max() > 0.1

@@ -57,7 +57,7 @@ def mapped(problem):
     (field,) = here.fields
     mass, x = Mass(problem.terms, here), field.basis.node_coordinates()
     momenta = mass.nodal()
-    problem.motion.mapping.to_grid(problem.points, field.stencils, x, momenta)
+    problem.motion.mapping.to_grid(problem.points, field, x, momenta)
     (V,) = mass.solve(momenta, np.zeros_like(momenta.arrays[0])).arrays
     return mass, V, field.nodes, x[field.nodes, : problem.points.gdim]
 
