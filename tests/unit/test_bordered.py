@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dolfinx import fem
+from mpi4py import MPI
 
+import dolfinmpm as mpm
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.operator import Residual
 
@@ -48,3 +51,22 @@ def test_a_step_that_makes_forces_grow_is_shortened(norm, share):
     assert x[0] == share
     assert stub.value[0] == -2.0 * share
     assert found.norm == norm(share)
+
+
+def test_a_body_out_of_balance_on_soil_in_balance():
+    """A plate on an elastic block under a growing force: no step is shortened."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 2, 9), np.linspace(0, 1.5, 7)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 1)), 2, 1.0)
+    V = mpm.Space(grid, "gimp", configuration="total")
+    force = fem.Constant(grid, (0.0, 0.0))
+    plate = mpm.RigidBody(
+        mpm.Box((-0.5, 0.995), (2.5, 1.5)), force=force, free=(False, True, False)
+    )
+    F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
+    F += mpm.contact(plate, points, V.increment, V.test)
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, max_iterations=7)
+    for k in range(4):
+        force.value[1] = -3000.0 * (k + 1)
+        record = problem.step()
+        assert (record.iterations, record.halvings) == (4, 0)

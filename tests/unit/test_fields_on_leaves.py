@@ -1,0 +1,83 @@
+"""Several fields on refined spaces, and leaves that have no points of a field."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+
+LAW = mpm.materials.Hencky(1e6, 0.3)
+REFINED = {"refine": lambda x: np.where(x[0] > 1.01, 0.5, 1.0), "levels": 1}
+
+
+@pytest.mark.parametrize("basis", ["gimp", "linear", "bspline2"])
+def test_a_body_beside_large_leaves_of_another_body_moves_without_stress(basis):
+    """Nodes at its small leaves follow those of the large leaf, where only the other body is."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.arange(5.0)] * 2)
+    A, B = (mpm.Space(grid, basis, tag=tag, **REFINED) for tag in (1, 2))
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1e3, tag=1, refine=A)
+    points = points + mpm.fill(grid, mpm.Box((1, 0.75), (2.5, 2)), 2, 1e3, tag=2, refine=B)
+    F = mpm.momentum(LAW, points, A.increment, A.test, tag=1)
+    F += mpm.momentum(LAW, points, B.increment, B.test, tag=2)
+
+    def top(x):
+        return x[1] > 1.9
+
+    bcs = mpm.fixed(A, "bottom") + mpm.prescribed(B, top, 0, increment=0.01)
+    bcs += mpm.prescribed(B, top, 1, increment=0.0)
+    problem = mpm.QuasiStatic(
+        F, [A.increment, B.increment], points, bcs, stabilisation=["none", "none"]
+    )
+    problem.step()
+    own = points["tag"] == 2
+    assert np.abs((points["x"] - points["x0"])[own] - (0.01, 0.0)).max() < 1e-12
+    assert np.abs(points["stress"]).max() < 1e-6 * LAW.E * 0.01
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_linear_pressures_on_the_leaves_of_wider_functions(basis):
+    """A drained body has the pressure of its drained side, also where its domains reach far."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.arange(5.0)] * 2)
+    V, Q = mpm.Space(grid, basis, **REFINED), mpm.Space(grid, "linear", shape=(), **REFINED)
+    points = mpm.fill(grid, mpm.Box((1.0, 0.5), (3, 2)), 2, 1e3, refine=V)
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], 2), normal=(0, 1))
+    F = mpm.poromechanics(
+        LAW, points, (V.increment, Q.increment), (V.test, Q.test), porosity=0.4,
+        permeability=1e-5, drained=(top, 1e3),
+    )  # fmt: skip
+    way = [-0.05]
+
+    def increment(x):
+        return np.full(x.shape[1], way[0])
+
+    everywhere = {"where": lambda x: x[0] > -9}
+    bcs = mpm.prescribed(V, component=0, increment=increment, **everywhere)
+    bcs += mpm.prescribed(V, component=1, increment=0.0, **everywhere)
+    problem = mpm.Transient(
+        F, [V.increment, Q.increment], points, bcs, stabilisation=["ghost", "ghost"]
+    )
+    for k in range(4):
+        way[0] = -0.05 if k < 2 else 0.0
+        problem.step(1e6 * (k + 1))
+    assert points["pressure"] == pytest.approx(1e3, abs=0.01)
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_aggregation_without_a_root_nearby(refined):
+    """A few points far from the body keep their nodes."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 16, 17), np.linspace(0, 2, 3)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 1)), 2, 1.0)
+    points = points + mpm.fill(grid, mpm.Box((12.3, 0), (12.6, 0.3)), 2, 1.0)
+    more = {"refine": lambda x: np.ones(x.shape[1]), "levels": 1} if refined else {}
+    V = mpm.Space(grid, "gimp", **more)
+    F = mpm.momentum(mpm.materials.Hencky(1e3, 0.3), points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -1.0)), V.test) * points.dX
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation="aggregation"
+    )
+    problem.step()
+    far = points["x"][:, 0] > 12
+    assert np.all(points["x"][far, 1] < points["x0"][far, 1])
