@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import shown, whole
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.basis.latticebasis import LatticeBasis
 from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.stencils import Placement
@@ -75,6 +77,17 @@ class SizeAt:
         return np.asarray(sizes.reshape(len(low), -1).min(axis=1))
 
 
+def _sizes_of(one: CellSize, low: Array, high: Array) -> Array:
+    """Sizes wanted by one of them (m), shape (n,), checked; see `CellSize`."""
+    sizes = np.asarray(one.wanted(low, high), float)
+    if sizes.shape != (len(low),) or not (sizes > 0).all():
+        raise ParameterError(
+            f"{type(one).__name__}.wanted returned {shown(sizes)} for {len(low)} cells: it must "
+            "return a size above 0 m for each cell; inf takes cells as large as those of the grid"
+        )
+    return sizes
+
+
 def _sizes(given: Any) -> tuple[CellSize, ...]:
     """The sizes wanted, as a tuple of `CellSize`."""
     every = given if isinstance(given, (tuple, list)) else (given,)
@@ -128,10 +141,22 @@ class Refinement:
         return require_lattice(self._grid, "refine")
 
     def wanted(self, low: Array, high: Array) -> Array:
-        """Sizes wanted in cells (m), shape (n,); see `CellSize`."""
+        """Sizes wanted in cells (m), shape (n,); see `CellSize`. Collective.
+
+        All ranks ask for the same cells. The least size of all ranks counts, because a function may
+        depend on the points of its rank.
+
+        Raises:
+            ParameterError: A function fails on any rank, or does not return sizes.
+        """
+        comm = self._grid.comm
         size = np.full(len(low), np.inf)
         for one in self.sizes:
-            size = np.minimum(size, one.wanted(low, high))
+            # one after the other: some of them are collective, and all ranks must reach them
+            found = call_together(comm, partial(_sizes_of, one, low, high))
+            size = np.minimum(size, found)
+        if comm.size > 1:
+            comm.Allreduce(MPI.IN_PLACE, size, op=MPI.MIN)
         return size
 
     def hold(self) -> None:

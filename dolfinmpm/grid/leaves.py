@@ -23,7 +23,8 @@ Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 # A split cell is joined again only where cells larger by this factor are wanted
 HYSTERESIS = 1.25
-# Function of the lower and the upper corners of cells (m) that returns the sizes wanted there (m)
+# Function of the lower and the upper corners of cells (m) that returns the sizes wanted there (m).
+# All ranks call it together with the same cells, and it returns the same sizes on all of them.
 Wanted = Callable[[Array, Array], Array]
 
 

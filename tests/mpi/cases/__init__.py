@@ -84,6 +84,7 @@ CASES = {
         plasticity.incomplete_factors,
         plasticity.safety_of_a_state,
         failures.errors_on_all_ranks,
+        failures.sizes_of_one_rank,
         arguments.bad_inputs,
         arguments.of_one_rank,
         arguments.of_few_cells,

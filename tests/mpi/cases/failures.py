@@ -126,3 +126,29 @@ def errors_on_all_ranks():
     expect(OSError, lambda: mpm.study.write_table([], "/dev/null/table.csv"))
     expect(OSError, lambda: mpm.study.read_table("/dev/null/table.csv"))
     return {"first": "enlarge the grid" in first}
+
+
+def sizes_of_one_rank():
+    """Sizes of cells that one rank alone refuses, or that depend on the points of the rank."""
+    failing = COMM.rank == COMM.size - 1
+
+    def filled(size):
+        grid = mpm.create_lattice(COMM, [np.arange(5.0)] * 2)
+        points = mpm.fill(grid, mpm.Box((0, 0), (3, 2)), 2, 1.0)
+        # all ranks must reach the collective search for points that yield
+        sizes = [lambda x: size(x, points["x"]), mpm.where_it_yields(points, 0.5, field="density")]
+        return mpm.fill(grid, mpm.Box((0, 0), (4, 2)), 2, 1.0,
+                        refine=mpm.Space(grid, "gimp", refine=sizes, levels=2)).total  # fmt: skip
+
+    def raises(x, at):
+        if failing:
+            raise ValueError("no answer here")
+        return np.ones(x.shape[1])
+
+    def nowhere(x, at):
+        return np.full(x.shape[1], np.nan if failing else 1.0)
+
+    messages = [expect(errors.ParameterError, lambda f=f: filled(f)) for f in (raises, nowhere)]
+    for message in messages:
+        assert len(set(COMM.allgather(message.partition(" of shape")[0]))) == 1
+    return {"points": filled(lambda x, at: np.where(x[0] < at[:, 0].max(initial=0.0), 0.25, 1.0))}
