@@ -11,7 +11,11 @@ from dolfinx import fem
 from dolfinx.la import InsertMode
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ConflictingConditionsError, raise_together
+from dolfinmpm._platform.errors import (
+    ConflictingConditionsError,
+    UnsupportedGridError,
+    raise_together,
+)
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
@@ -38,7 +42,15 @@ def renumbered(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArr
 
     Returns:
         Values at all nodes of `basis` known on this rank.
+
+    Raises:
+        UnsupportedGridError: The basis is on leaves, whose nodes are not those of the grid.
     """
+    if isinstance(basis, LeafBasis):
+        raise UnsupportedGridError(
+            f"the {basis.nodes.owned} nodes of leaves on this rank are not the "
+            f"{base.nodes.owned} nodes of the grid: find them by their positions"
+        )
     shape = basis.nodes.size, *values.shape[1:]
     own, result = base.nodes.owned, np.zeros(shape, values.dtype)
     at = slice(own) if basis.grid_nodes is None else basis.grid_nodes[:own]

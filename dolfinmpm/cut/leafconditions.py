@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm._platform.errors import ParameterError
@@ -13,7 +14,21 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.grid.sides import side_of
 from dolfinmpm.grid.userfunctions import call_function, choose
 
-__all__ = ["on_leaves"]
+__all__ = ["nodes_at_side", "on_leaves"]
+
+
+def nodes_at_side(basis: LeafBasis, axis: int, end: int) -> npt.NDArray[np.int32]:
+    """Nodes of leaves at a side of the grid, among all nodes that this rank knows, shape (n,).
+
+    For splines these are the functions that do not vanish at the side.
+
+    Args:
+        basis: The basis on the leaves.
+        axis, end: Direction of the side's normal, and 0 for its lower or 1 for its upper end.
+    """
+    line, x = basis.lattice.lines[axis], basis.node_coordinates()[:, axis]
+    chosen = np.abs(x - line[-end]) <= 1e-9 * (line[-1] - line[0])
+    return np.flatnonzero(chosen).astype(np.int32)
 
 
 def on_leaves(condition: Condition, basis: LeafBasis) -> Condition:
@@ -29,11 +44,9 @@ def on_leaves(condition: Condition, basis: LeafBasis) -> Condition:
     x = basis.node_coordinates()[:, : basis.grid.geometry.dim]
     if callable(condition.chooses):
         chosen = choose("the function of places", condition.chooses, x)
+        nodes = np.flatnonzero(chosen).astype(np.int32)
     else:
-        _, axis, end = side_of(condition.chooses, x.shape[1])
-        line = basis.lattice.lines[axis]
-        chosen = np.abs(x[:, axis] - line[-end]) <= 1e-9 * (line[-1] - line[0])
-    nodes = np.flatnonzero(chosen).astype(np.int32)
+        nodes = nodes_at_side(basis, *side_of(condition.chooses, x.shape[1])[1:])
     value = condition.value
     if condition.function is not None:
         what = f"the {condition.kind} prescribed at '{condition.where}'"

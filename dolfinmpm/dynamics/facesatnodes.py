@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm.basis import LeafBasis
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.cut.essentialconditions import renumbered
+from dolfinmpm.cut.leafconditions import nodes_at_side
 from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 from dolfinmpm.dynamics.incomingwaves import IncomingWaves
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks
@@ -18,6 +20,17 @@ from dolfinmpm.dynamics.sideareas import areas, radii
 __all__ = ["Faces"]
 
 Array = npt.NDArray[np.float64]
+
+
+def _nodes(face: Any, basis: Any) -> npt.NDArray[np.intp]:
+    """Nodes of a basis at a face, among all nodes that this rank knows, shape (n,). Collective."""
+    if isinstance(basis, LeafBasis):
+        # nodes that hang at the side have no velocities of their own: they follow others there
+        return nodes_at_side(basis, face.axis, face.end).astype(np.intp)
+    base = face.space.basis
+    marks = np.zeros(base.nodes.size)
+    marks[face.nodes] = 1.0
+    return np.flatnonzero(renumbered(marks, base, basis))
 
 
 class Faces:
@@ -46,10 +59,7 @@ class Faces:
         self.waves = IncomingWaves(basis.nodes.size, d)
         self._columns: list[tuple[int, int, ColumnAtSide]] = []
         for face in faces:
-            base = face.space.basis
-            marks = np.zeros(base.nodes.size)
-            marks[face.nodes] = 1.0
-            nodes = np.flatnonzero(renumbered(marks, base, basis))
+            nodes = _nodes(face, basis)
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
                 self._rubbing.append((nodes, face.axis, outward, face.friction))

@@ -8,6 +8,7 @@ import ufl
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm.cut.essentialconditions import renumbered
 
 LAW = mpm.materials.Hencky(E=1000.0, nu=0.3)
 
@@ -32,10 +33,12 @@ def block(levels, term="", basis="gimp", **options):
             points, side, closed=False, follows=False, rule=1, spacing=0.125
         )
         F += mpm.signorini(line, u, v, law=LAW)
-    elif term:
+    elif term in ("penalty", "nitsche"):
         line = mpm.Boundary.from_polygon(points, side, closed=False, rule=1, spacing=0.125)
         F += mpm.dirichlet(line, u, v, law=LAW, method=term, direction="normal")
     bcs = mpm.rollers(V, "left", "bottom")
+    if term == "friction":
+        bcs = mpm.frictional(V, "bottom", "left", friction=0.3)
     problem = mpm.Explicit(F, u, points, bcs, fused=False, **options)
     points["velocity"] = (0.0, -1.0)
     return problem
@@ -52,8 +55,9 @@ def state(problem, steps=20, dt=1e-3):
 
 
 @pytest.mark.parametrize(
-    ("term", "basis"), [("", "gimp"), ("wall", "gimp"), ("penalty", "gimp"), ("wall", "bspline2")]
-)
+    ("term", "basis"), [("", "gimp"), ("wall", "gimp"), ("penalty", "gimp"), ("wall", "bspline2"),
+     ("friction", "gimp"), ("friction", "bspline2")],
+)  # fmt: skip
 def test_leaves_of_one_size_are_a_finer_grid(term, basis):
     """Bulk viscosity, and traces that weigh light nodes, as on a grid of such cells."""
     options = {"bulk_viscosity": (0.06, 1.2)}
@@ -72,3 +76,32 @@ def test_filters_of_light_nodes_are_refused(name):
 def test_collisions_at_the_nodes_are_refused():
     with pytest.raises(mpm.errors.ParameterError, match="contact_between"):
         block(2, mapping="flip", collision=mpm.Collision((1, 2)))
+
+
+def test_a_block_slides_on_a_frictional_side_with_leaves_that_move():
+    """The normal force is the weight, so that friction slows the block by μ g."""
+    place = [0.3]
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.arange(5.0)] * 2)
+    V = mpm.Space(
+        grid, "gimp", refine=lambda x: np.where(np.abs(x[0] - place[0]) < 0.4, 0.25, 1.0), levels=2
+    )
+    points = mpm.fill(grid, mpm.Box((0.5, 0.0), (2.0, 1.0)), 2, 1e3, refine=V)
+    F = mpm.momentum(mpm.materials.Hencky(1e5, 0.0), points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -9.81)), V.test) * points.dX
+    sides = mpm.frictional(V, "bottom", friction=0.3)
+    problem = mpm.Explicit(F, V.increment, points, sides)
+    points["velocity"] = (2.0, 0.0)
+    for k in range(15):
+        place[0] += 0.1
+        problem.step(0.02 * (k + 1))
+    # the block sways on its elastic lower edge, and pushes more or less than its weight
+    assert problem.momentum()[0] / 1.5e3 == pytest.approx(2.0 - 0.3 * 9.81 * 0.3, rel=0.15)
+    assert points["x"][:, 1].min() > 0.0
+
+
+def test_nodes_of_the_grid_are_not_taken_for_those_of_leaves():
+    problem = block(2)
+    leaves = problem.activate().fields[0].basis
+    base = problem.fields[0].space.basis
+    with pytest.raises(mpm.errors.UnsupportedGridError, match="by their positions"):
+        renumbered(np.ones(base.nodes.size), base, leaves)
