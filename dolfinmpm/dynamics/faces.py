@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, shown
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis.conditions import Condition, prescribed
 from dolfinmpm.basis.space import Space
@@ -36,6 +36,7 @@ __all__ = [
     "frictional",
     "ghost_mass_at",
     "refuse_constraints",
+    "refuse_leaves",
     "set_velocities",
     "split_conditions",
 ]
@@ -149,7 +150,7 @@ def absorbing(
     Raises:
         ParameterError: A side is unknown, a number is outside its range, s_speed exceeds p_speed,
             or a wave comes in where the sides have no dashpots.
-        UnsupportedGridError: The grid is not rectangular.
+        UnsupportedGridError: The grid is not rectangular, or the space is refined.
 
     A wave leaves at the bottom, and takes energy with it:
 
@@ -168,6 +169,7 @@ def absorbing(
     """
     check_sides(space, sides)
     require_lattice(space.grid, "absorbing")
+    refuse_leaves(space, "absorbing")
     rho = number("density", density, 0.0)
     p = number("p_speed", p_speed, 0.0, closed=True)
     s = number("s_speed", s_speed, 0.0, closed=True)
@@ -207,6 +209,21 @@ def check_sides(space: Any, sides: tuple[Any, ...]) -> None:
     again = [side for k, side in enumerate(sides) if names[k] in names[:k]]
     if again:
         raise ParameterError(f"the side {shown(again[0])} is given twice; it would act twice")
+
+
+def refuse_leaves(space: Space, what: str) -> None:
+    """Raise UnsupportedGridError if a space is refined: dashpots need areas of its nodes.
+
+    Args:
+        space: The space.
+        what: Kind of the sides in the message.
+    """
+    if space.refinement is not None:
+        raise UnsupportedGridError(
+            f"{what} sides need cells of one size along them, and the space is refined up to "
+            f"levels = {space.refinement.levels}: leave out refine=, or give create_lattice "
+            "smaller cells where they are wanted"
+        )
 
 
 def face_at(

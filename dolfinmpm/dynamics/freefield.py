@@ -6,7 +6,7 @@ from dolfinmpm._platform.argumentchecks import check_kind
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.space import Space
-from dolfinmpm.dynamics.faces import Face, check_sides, face_at
+from dolfinmpm.dynamics.faces import Face, check_sides, face_at, refuse_leaves
 from dolfinmpm.dynamics.groundcolumn import GroundColumn
 from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.sides import side_of
@@ -38,7 +38,7 @@ def free_field(space: Space, *sides: str, column: GroundColumn) -> list[Face]:
 
     Raises:
         ParameterError: A side is unknown or not vertical, or the column has another dimension.
-        UnsupportedGridError: The grid is not rectangular.
+        UnsupportedGridError: The grid is not rectangular, or the space is refined.
 
     A wall beside ground at rest: what swings in it leaves through the side.
 
@@ -66,6 +66,7 @@ def free_field(space: Space, *sides: str, column: GroundColumn) -> list[Face]:
     """
     check_sides(space, sides)
     require_lattice(space.grid, "free_field")
+    refuse_leaves(space, "free-field")
     check_kind("column", column, GroundColumn, "make it with mpm.GroundColumn(problem, end, dt=)")
     d = space.grid.geometry.dim
     if column.gdim != d:

@@ -42,6 +42,15 @@ def test_absorbing_needs_a_rectangular_grid():
         mpm.absorbing(mpm.Space(grid), "left", density=1.0, p_speed=1.0)
 
 
+def test_sides_with_dashpots_refuse_refined_spaces():
+    grid = mpm.create_lattice(COMM, [range(5), range(5)])
+    V = mpm.Space(grid, "gimp", refine=lambda x: np.full(x.shape[1], 0.5), levels=1)
+    with pytest.raises(errors.UnsupportedGridError, match=r"absorbing sides .* levels = 1"):
+        mpm.absorbing(V, "bottom", density=1e3, p_speed=30.0)
+    with pytest.raises(errors.UnsupportedGridError, match=r"free-field sides .* levels = 1"):
+        mpm.free_field(V, "left", "right", column=None)
+
+
 @pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark])
 def test_what_a_condition_holds_no_face_acts_on(kind):
     waves = {"density": 1.0, "p_speed": 10.0}
