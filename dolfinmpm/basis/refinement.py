@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
 # Lines of the finest level are 32-bit numbers
 MOST_LEVELS = 10
 
@@ -57,6 +58,8 @@ class SizeAt:
     Args:
         size: Function of positions (m), shape (gdim, n), that returns n sizes (m).
     """
+
+    told = "a function"
 
     def __init__(self, size: Callable[[Array], Any]):
         self._size = size
@@ -164,17 +167,24 @@ class Refinement:
         self._held = self.leaves
 
     def state(self) -> dict[str, Any]:
-        """The leaves held, as lowest lines and sizes; the same on all ranks."""
+        """The leaves held, as lowest lines and sizes, and `levels`; the same on all ranks."""
         if self._held is None:
             return {}
-        return {"low": self._held.low, "size": self._held.size}
+        return {"low": self._held.low, "size": self._held.size, "levels": self.levels}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Restore a state returned by `state`."""
+        """Restore a state returned by `state`, also one of other `levels`."""
         self._held, self.leaves, self._bases = None, None, {}
         if "low" in values:
             low, size = (np.asarray(values[name], np.int32) for name in ("low", "size"))
-            self._held = Leaves.restored(self.lattice, self.levels, low, size)
+            more = self.levels - int(values.get("levels", self.levels))
+            self._held = Leaves.restored(self.lattice, self.levels, *_rescaled(low, size, more))
+
+    @property
+    def told(self) -> str:
+        """The levels and the sizes wanted, in words."""
+        sizes = ", ".join(getattr(one, "told", type(one).__name__) for one in self.sizes)
+        return f"levels = {self.levels}, refine = {sizes}"
 
     def leaves_for(self, where: Placement, averaged: bool) -> Leaves:
         """The leaves for some points. Collective.
@@ -204,6 +214,25 @@ class Refinement:
         if key not in self._bases or self._bases[key][0] is not partition:
             self._bases[key] = partition, LeafBasis(base, self.leaves, layers, partition)
         return self._bases[key][1]
+
+
+def _rescaled(low: Ints, size: Ints, more: int) -> tuple[Ints, Ints]:
+    """Lowest lines and sizes of leaves, in lines of another finest level.
+
+    Leaves finer than that level become the cell of that level that they are in.
+
+    Args:
+        low: Lowest lines, shape (n, gdim).
+        size: Numbers of finest cells per direction, shape (n,).
+        more: Levels of the result less those of the arguments.
+
+    Returns:
+        Lowest lines, shape (m, gdim), and sizes, shape (m,).
+    """
+    if more >= 0:
+        return low << more, size << more
+    low, first = np.unique(low >> -more, axis=0, return_index=True)
+    return low, np.maximum(size[first] >> -more, 1).astype(np.int32)
 
 
 def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:

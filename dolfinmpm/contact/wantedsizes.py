@@ -23,6 +23,7 @@ class _Near:
         self._body, self._surface = body, surface
         self._size, self._reach, self._growth = size, reach, growth
         self.least = size
+        self.told = f"{size:g} m near a body"
 
     def wanted(self, low: Array, high: Array) -> Array:
         """See `dolfinmpm.basis.refinement.CellSize`."""
@@ -84,6 +85,7 @@ class _WhereItYields:
     def __init__(self, points: Any, size: float, field: str, least: float):
         self._points, self._size, self._field, self._least = points, size, field, least
         self.least = size
+        self.told = f"{size:g} m where {field} > {least:g}"
 
     def wanted(self, low: Array, high: Array) -> Array:
         """See `dolfinmpm.basis.refinement.CellSize`."""

@@ -40,6 +40,8 @@ def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) 
         domains = f"averaged ({space.domains})" if basis.averaged else "not averaged"
         more = f"coarsen = {space.coarsen}, tag = {space.tags}"
         found[f"basis of field {k + 1}"] = f'"{name}", {domains}, {more}'
+        if space.refinement is not None:
+            found[f"leaves of field {k + 1}"] = space.refinement.told
         found[f"stabilisation of field {k + 1}"] = str(field.stabilisation)
     found["conditions"] = "; ".join(sorted(_condition(one) for one in bcs)) or "none"
     told = [(term.kind, told) for term in form.terms if (told := term.describe()) is not None]

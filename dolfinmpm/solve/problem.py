@@ -260,7 +260,8 @@ class Problem(ReadOnce):
         of the form, and the constants of the conditions, have their saved values. Set different
         values after this call. Increments are zero until the next step.
 
-        A next stage may have other parameters of laws, other bases, stabilisations and conditions.
+        A next stage may have other parameters of laws, other bases, levels of leaves,
+        stabilisations and conditions.
         A `DifferentProblemWarning` lists the differences.
 
         A restarted run gives the same figures as an uninterrupted run. On one rank they are equal

@@ -344,6 +344,41 @@ def test_a_restart_goes_on_with_the_same_leaves(tmp_path, basis):
     np.testing.assert_array_equal(again, whole)
 
 
+def at_levels(levels):
+    """A problem whose cells are as fine as its levels allow, at the left end."""
+    grid = lattice(2)
+
+    def size(x):
+        return np.where(x[0] < 0.3, 0.9 * 0.5**levels, 1.05)
+
+    refined = {"refine": size, "levels": levels} if levels else {}
+    V = mpm.Space(grid, "gimp", **refined)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 1.5)), 2, 1e3, refine=V if levels else None)
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    return mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation="ghost")
+
+
+@pytest.mark.parametrize(("there", "here"), [(1, 3), (3, 1), (2, 0), (0, 2)])
+def test_a_checkpoint_of_other_levels_keeps_leaves_at_their_places(there, here, tmp_path):
+    def edges(leaves, most):
+        """Edges of the leaves, at least those of some levels, by their lower corners (m)."""
+        low, high = leaves.tree.corners(leaves.node)
+        edge = np.maximum(np.ptp([low, high], axis=0)[:, 0], 0.5**most)
+        return {tuple(edge[k] * (low[k] // edge[k])): edge[k] for k in range(len(low))}
+
+    first = at_levels(there)
+    first.step()
+    first.save(tmp_path / "run.npz")
+    second = at_levels(here)
+    with pytest.warns(mpm.errors.DifferentProblemWarning, match="leaves of field 1: "):
+        second.load(tmp_path / "run.npz")
+    if there and here:
+        held = second.fields[0].space.refinement._held
+        now = edges(first.fields[0].space.refinement.leaves, min(there, here))
+        assert edges(held, here) == now
+    second.step()
+
+
 def test_points_follow_leaves_along_a_path():
     grid = lattice(2)
     V = mpm.Space(grid, "gimp", refine=lambda x: np.where(x[0] < 1.2, 0.5, 1.0), levels=1)
