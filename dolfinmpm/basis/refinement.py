@@ -69,15 +69,26 @@ class SizeAt:
         gdim = low.shape[1]
         t = 0.5 * np.array(list(np.ndindex(*(3,) * gdim)))
         x = low[:, None] + t * (high - low)[:, None]
-        sizes = call_function("the size wanted (refine)", self._size, x.reshape(-1, gdim))
-        wrong = ~(sizes >= 0)
+        sizes = call_function("the size wanted (refine)", self._real, x.reshape(-1, gdim))
+        wrong = ~(sizes > 0)
         if wrong.any():
             k = int(np.argmax(wrong))
             raise ParameterError(
                 f"the size wanted (refine) is {sizes[k]:g} m at {shown(x.reshape(-1, gdim)[k])}: "
-                "it must be a length; inf takes cells as large as those of the grid"
+                "it must be a length above 0 m; inf takes cells as large as those of the grid"
             )
         return np.asarray(sizes.reshape(len(low), -1).min(axis=1))
+
+    def _real(self, x: Array) -> Any:
+        """Answer of the function at positions (m), shape (gdim, n)."""
+        answer = self._size(x)
+        sizes = np.asarray(answer)
+        if sizes.dtype.kind in "bc" and sizes.size:
+            raise ParameterError(
+                f"the size wanted (refine) is {sizes.flat[0]} at {shown(x[:, 0])}: give sizes in "
+                "m, such as np.where(x[0] < 1, 0.25, np.inf)"
+            )
+        return answer
 
 
 def _sizes_of(one: CellSize, low: Array, high: Array) -> Array:
@@ -91,8 +102,8 @@ def _sizes_of(one: CellSize, low: Array, high: Array) -> Array:
     return sizes
 
 
-def _sizes(given: Any) -> tuple[CellSize, ...]:
-    """The sizes wanted, as a tuple of `CellSize`."""
+def _sizes(given: Any, gdim: int) -> tuple[CellSize, ...]:
+    """The sizes wanted on a grid of that dimension, as a tuple of `CellSize`."""
     every = given if isinstance(given, (tuple, list)) else (given,)
     if not every:
         raise ParameterError("refine = [] has no size: leave refine and levels out for one size")
@@ -106,6 +117,12 @@ def _sizes(given: Any) -> tuple[CellSize, ...]:
             raise ParameterError(
                 f"refine = {shown(given)} must be a function of positions that returns sizes (m), "
                 "mpm.near(body, size), mpm.where_it_yields(points, size), or a list of these"
+            )
+        own = getattr(one, "gdim", gdim)
+        if own != gdim:
+            raise ParameterError(
+                f"refine = {getattr(one, 'told', shown(one))} is for {own} dimensions, and the "
+                f"grid has {gdim}: take a body, or points, of {gdim} dimensions"
             )
     return tuple(made)
 
@@ -235,7 +252,7 @@ def _rescaled(low: Ints, size: Ints, more: int) -> tuple[Ints, Ints]:
     return low, np.maximum(size[first] >> -more, 1).astype(np.int32)
 
 
-def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:
+def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement | None:
     """The refinement with these arguments; equal arguments on a grid return the same object.
 
     Args:
@@ -243,12 +260,18 @@ def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:
         refine: The sizes wanted; see `dolfinmpm.Space`.
         levels: Largest number of times that a cell of the grid is halved.
 
+    Returns:
+        The refinement, or None with `levels` = 0.
+
     Raises:
         ParameterError: An argument is not valid.
         UnsupportedGridError: The grid is not rectangular.
     """
+    sizes = _sizes(refine, grid.geometry.dim)
+    if whole("levels", levels, 0) == 0:
+        return None
     require_lattice(grid, "refine")
-    if whole("levels", levels, 1) > MOST_LEVELS:
+    if levels > MOST_LEVELS:
         raise ParameterError(
             f"levels = {levels} must be at most {MOST_LEVELS}: give the grid smaller cells"
         )
@@ -257,7 +280,7 @@ def refinement_of(grid: Mesh, refine: Any, levels: Any) -> Refinement:
     key = (levels, *(id(one) for one in every))
     if key not in known:
         # the arguments stay alive with the result, so that their ids stay theirs
-        known[key] = every, Refinement(grid, _sizes(refine), levels)
+        known[key] = every, Refinement(grid, sizes, levels)
     return known[key][1]
 
 

@@ -350,8 +350,6 @@ class Space:
                 f'refine needs coarsen=1 and configuration="updated", got coarsen={self.coarsen}, '
                 f"configuration={self.configuration!r}; leave refine and levels out, or take these"
             )
-        if whole("levels", levels, 0) == 0:
-            return None
         return refinement_of(self.grid, refine, levels)
 
     @property

@@ -23,7 +23,7 @@ class _Near:
         self._body, self._surface = body, surface
         self._size, self._reach, self._growth = size, reach, growth
         self.least = size
-        self.told = f"{size:g} m near a body"
+        self.told, self.gdim = f"{size:g} m near a body", surface.gdim
 
     def wanted(self, low: Array, high: Array) -> Array:
         """See `dolfinmpm.basis.refinement.CellSize`."""
@@ -85,7 +85,7 @@ class _WhereItYields:
     def __init__(self, points: Any, size: float, field: str, least: float):
         self._points, self._size, self._field, self._least = points, size, field, least
         self.least = size
-        self.told = f"{size:g} m where {field} > {least:g}"
+        self.told, self.gdim = f"{size:g} m where {field} > {least:g}", points.gdim
 
     def wanted(self, low: Array, high: Array) -> Array:
         """See `dolfinmpm.basis.refinement.CellSize`."""

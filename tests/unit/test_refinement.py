@@ -188,6 +188,7 @@ def test_leaves_of_one_size_are_a_finer_grid():
         ({"basis": "gimp", "levels": None}, "go together"),
         ({"basis": "gimp", "levels": 11}, "at most 10"),
         ({"basis": "gimp", "refine": 0.1}, "must be a function of positions"),
+        ({"basis": "gimp", "refine": "fine", "levels": 0}, "must be a function of positions"),
         ({"basis": "gimp", "refine": []}, "has no size"),
     ],
 )
@@ -197,11 +198,18 @@ def test_bad_refinements_are_refused(options, text):
         mpm.Space(lattice(2), options.pop("basis"), **options)
 
 
-@pytest.mark.parametrize("size", [np.nan, -1.0])
+@pytest.mark.parametrize("size", [np.nan, -1.0, 0.0, True, 1.0 + 0.1j])
 def test_sizes_that_are_no_lengths_are_refused(size):
     V = mpm.Space(lattice(2), "gimp", refine=lambda x: np.full(x.shape[1], size), levels=1)
-    with pytest.raises(mpm.errors.ParameterError, match="it must be a length"):
+    with pytest.raises(mpm.errors.ParameterError, match=r"it must be a length|give sizes in m"):
         mpm.fill(V.grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0, refine=V)
+
+
+def test_sizes_of_another_dimension_are_refused():
+    ball = mpm.RigidBody(mpm.Ball((2, 2, 2), 0.5), increment=(0, 0, 0))
+    for levels in (0, 1):
+        with pytest.raises(mpm.errors.ParameterError, match="3 dimensions, and the grid has 2"):
+            mpm.Space(lattice(2), "gimp", refine=mpm.near(ball, 0.25), levels=levels)
 
 
 def test_refinement_needs_a_field_of_one_number():
