@@ -72,3 +72,18 @@ def test_ground_before_the_wave_arrives():
         problem.step(float(time))
     assert max(record.iterations for record in problem.history) <= 3
     assert sum(record.halvings for record in problem.history) == 0
+
+
+@pytest.mark.parametrize("tolerance", [1e-9, 1e-10, 1e-12])
+def test_a_body_in_free_flight_is_balanced_to_rounding(tolerance):
+    """No force acts, so that inertial forces are the rounding of their terms."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 5, 11)] * 2)
+    V = mpm.Space(grid, "gimp")
+    points = mpm.fill(grid, mpm.Box((3.5, 1.5), (4.5, 3.0)), 2, 1e3)
+    body = mpm.RigidBody(mpm.Ball((1.0, 2.5), 0.45), mass=400.0, inertia=40.0, velocity=(0.2, 0.02))
+    F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), points, V.increment, V.test)
+    F += mpm.contact(body, points, V.increment, V.test)
+    problem = mpm.GeneralisedAlpha(F, V.increment, points, tolerance=tolerance, rho_inf=0.8)
+    for t in mpm.times(0.06, dt=0.01):
+        problem.step(t)
+    assert body.position == pytest.approx([1.012, 2.5012], rel=1e-12)
