@@ -199,16 +199,22 @@ class InitialGuess:
         return [self.length if name is None else 1.0 for name in operator.form.values]
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
-        """The kept increments of this rank, and what decides about the next trial, by name."""
+        """The kept increments of this rank, and what decides about the next trial, by name.
+
+        Those of refined fields are left out: leaves of the last step may be others than the next.
+        """
         kept: dict[str, npt.NDArray[Any]] = {
             "guess trials": np.array([self._wait, self._next, self._plain])
         }
-        if any(part.leaves is not None for part in self._last):
+        if self._last and all(part.leaves is not None for part in self._last):
             return kept
         kept |= {"guess lengths": np.array(self._lengths), "guess ahead": np.array(self._goes_on)}
         for when, parts in ("last", self._last), ("former", self._former):
             for k, part in enumerate(parts):
-                kept |= {f"guess {when} {k} nodes": part.nodes, f"guess {when} {k}": part.values}
+                # without nodes the guess of a field is zero
+                known = slice(None) if part.leaves is None else slice(0)
+                nodes, values = part.nodes[known], part.values[known]
+                kept |= {f"guess {when} {k} nodes": nodes, f"guess {when} {k}": values}
         return kept
 
     def set_state(self, local: dict[str, npt.NDArray[Any]], partition: Partition | None) -> None:

@@ -158,3 +158,42 @@ def test_a_sample_of_the_points_tells_whether_the_tangent_is_symmetric(skew):
     assert max(counts) <= 16
     assert problem.newton.linear.choice.tangent.symmetric == (skew == 0.0)
     assert problem.history[-1].residuals[-1] <= problem.tolerance
+
+
+def two_blocks():
+    """Two blocks under their weight, the first of them on leaves; the problem, and its load."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, 9)] * 2)
+    A = mpm.Space(grid, "gimp", tag=1, refine=lambda x: np.where(x[1] < 0.6, 0.25, 0.5), levels=1)
+    B = mpm.Space(grid, "gimp", tag=2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1.3)), 2, 100.0, tag=1, refine=A)
+    points += mpm.fill(grid, mpm.Box((2, 0), (3, 1.7)), 2, 100.0, tag=2)
+    g, F = fem.Constant(grid, 0.0), 0.0
+    for tag, V in ((1, A), (2, B)):
+        F += mpm.momentum(mpm.materials.Hencky(1e4, 0.3), points, V.increment, V.test, tag=tag)
+        F += points.density * g * V.test[1] * points.dX(tag)
+    bcs = mpm.fixed(A, "bottom") + mpm.fixed(B, "bottom")
+    return mpm.QuasiStatic(F, [A.increment, B.increment], points, bcs, stabilisation="ghost"), g
+
+
+def test_a_restart_keeps_the_guess_of_fields_without_leaves(tmp_path):
+    problem, g = two_blocks()
+    for k in range(3):
+        g.value = 0.5 * (k + 1)
+        problem.step()
+    problem.save(tmp_path / "run.npz")
+    other, h = two_blocks()
+    other.load(tmp_path / "run.npz")
+    for name in ("_last", "_former"):
+        (leaves, plain), (_, same) = (getattr(p.newton.guess, name) for p in (other, problem))
+        assert leaves.nodes.size == 0
+        assert same.nodes.size > 0
+        np.testing.assert_array_equal(plain.nodes, same.nodes)
+        np.testing.assert_array_equal(plain.values, same.values)
+    g.value = h.value = 2.0
+    for _ in range(2):
+        for one in (problem, other):
+            one.step()
+            # a second checkpoint, with what the first had left out
+            one.save(tmp_path / "again.npz")
+    moved = np.abs(problem.points["x"] - problem.points["x0"]).max()
+    assert other.points["x"] == pytest.approx(problem.points["x"], abs=1e-7 * moved)
