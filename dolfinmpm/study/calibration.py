@@ -23,6 +23,9 @@ Bounds = Mapping[str, tuple[float, float]]
 # Relative standard deviation from which a parameter is called unknown, correlation from which two
 # parameters are called one, and share of the largest singular value that counts as zero
 _UNKNOWN, _ALIKE, _ZERO = 0.5, 0.95, 1e-7
+# Distance from a bound within which a parameter can be called at it, as a change of its logarithm
+# or as a share of its size; and share of its start below which it can be said to go towards 0
+_NEAR, _SMALL = 0.05, 1e-3
 
 
 @dataclass
@@ -42,7 +45,8 @@ class Calibration:
         measured: Name → measurements.
         trace: One row per run with derivatives: parameters, "misfit", and "failed", the reason of a
             run that failed, or an empty string.
-        notes: Which parameters the measurements do not tell, in words.
+        notes: Which parameters the measurements do not tell, and which end at a bound or go towards
+            0, where intervals do not hold, in words.
         message: Why the iterations ended.
 
     Young's modulus of a bar from its stress:
@@ -132,7 +136,8 @@ def calibrate(
             where nothing was measured.
         bounds: Name → least and largest value.
         weights: Name of a figure → one over the standard deviation of its measurements, a number or
-            an array of their shape. By default one over the largest measured value.
+            an array of their shape. By default one over the largest measured value. Measurements
+            of weight 0 do not count, as those that are NaN.
         scales: Name → size of a parameter whose start is not positive; see `differentiate`.
         confidence: Probability of the confidence intervals.
         tolerance: Relative change of the misfit, of the parameters, or size of its gradient, at
@@ -141,8 +146,9 @@ def calibrate(
         progress: Function that gets each new row of the trace, such as `print`.
 
     Raises:
-        ParameterError: A name is unknown, a shape is wrong, a start is out of bounds, or there are
-            fewer measurements than parameters.
+        ParameterError: A name is unknown, a shape is wrong, a start is out of bounds, a measurement
+            is infinite, there are fewer measurements than parameters, or a figure of the first run
+            is not finite.
         ConvergenceError: The first run fails.
 
     See `Calibration` for an example:
@@ -157,19 +163,21 @@ def calibrate(
     from scipy.optimize import least_squares
 
     check_function("scene", scene, "of a dictionary of parameters")
-    sizes = sizes_of(start, {} if scales is None else scales)
+    # coordinates rise with their parameters, also where a start below zero is its own size
+    sizes = {k: abs(v) for k, v in sizes_of(start, {} if scales is None else scales).items()}
     number("confidence", confidence, 0.5, 0.9999)
     number("tolerance", tolerance, 1e-14, 0.1)
     whole("max_runs", max_runs, 1)
     if progress is not None:
         check_function("progress", progress, "of a row of the trace")
     data, scaled = _measurements(measured, {} if weights is None else weights)
-    count = sum(int(np.isfinite(values).sum()) for values in data.values())
-    if count < len(start):
-        raise ParameterError(
-            f"{count} measurements cannot tell {len(start)} parameters: measure more"
-        )
     residuals = WeightedResiduals(scene, start, sizes, data, scaled, progress)
+    if residuals.count < len(start):
+        zero = " (those of weight 0 do not count)" * any((w == 0).any() for w in scaled.values())
+        raise ParameterError(
+            f"{residuals.count} measurements{zero} cannot tell {len(start)} parameters: measure "
+            "more"
+        )
     limits = _limits(residuals, start, {} if bounds is None else bounds)
     found = least_squares(
         lambda x: residuals.run(x)[0].copy(), np.zeros(len(start)),
@@ -177,7 +185,9 @@ def calibrate(
         gtol=1e-2 * tolerance, max_nfev=max_runs,
     )  # fmt: skip
     r, slopes, figures = residuals.run(found.x)
-    return _judged(residuals, found, r, slopes, figures, data, confidence)
+    fit = _judged(residuals, found, r, slopes, figures, data, confidence)
+    fit.notes += _ends(residuals, found.x, r, slopes, limits)
+    return fit
 
 
 def _measurements(
@@ -187,6 +197,14 @@ def _measurements(
     if not isinstance(measured, Mapping) or not measured:
         raise ParameterError(f"measured = {shown(measured)} must be a dictionary of arrays")
     data = {name: coordinates(f"measured['{name}']", v) for name, v in measured.items()}
+    for name, values in data.items():
+        # the default weight would be zero, and would switch off the whole figure
+        infinite = np.argwhere(np.isinf(np.atleast_1d(values)))
+        if infinite.size:
+            raise ParameterError(
+                f"measured['{name}'] is infinite after step {infinite[0][0] + 1}, and must be "
+                "finite: give NaN where nothing was measured"
+            )
     if not isinstance(weights, Mapping):
         raise ParameterError(
             f"weights = {shown(weights)} must be a dictionary of numbers or arrays"
@@ -256,9 +274,11 @@ def _judged(
         inverse = np.where(known, 1.0 / np.where(known, values, 1.0) ** 2, np.inf)
     # infinite along a combination that is not told, and zero beside it
     parts = np.where(np.abs(directions) > _ZERO, directions, 0.0)
-    spread = np.array([[_sum(inverse * parts[:, i] * parts[:, j]) for j in range(p)]
-                       for i in range(p)])  # fmt: skip
-    covariance = variance * spread
+    with np.errstate(invalid="ignore"):
+        spread = np.array([[_sum(inverse * parts[:, i] * parts[:, j]) for j in range(p)]
+                           for i in range(p)])  # fmt: skip
+    # without a variance, covariances that are zero stay so
+    covariance = np.where(spread == 0, 0.0, variance) * spread
     width = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):
         correlation = spread / np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
@@ -266,6 +286,8 @@ def _judged(
     ends = [residuals.at(found.x + sign * reach) for sign in (-1, 1)]
     intervals = {k: (ends[0][k], ends[1][k]) for k in parameters}
     notes = _words(list(parameters), width, correlation, known, directions)
+    if n == p:
+        notes.append(f"{n} measurements for {p} parameters leave no variance to see: measure more")
     return Calibration(
         parameters, intervals, covariance, correlation, values, directions,
         float(np.sqrt(np.mean(r**2))), figures, data, residuals.trace, notes, found.message,
@@ -299,4 +321,45 @@ def _words(
                     f"{names[j]} and {one} are told together, rather by their {how}: their "
                     f"correlation is {r:.3f}"
                 )
+    return notes
+
+
+def _ends(
+    residuals: WeightedResiduals, x: Array, r: Array, slopes: Array, limits: tuple[Array, Array]
+) -> list[str]:
+    """Which parameters end at a bound, or go towards 0, in words.
+
+    Args:
+        residuals: The residuals, with the names and values of the parameters.
+        x: Coordinates of the best fit, shape (p,).
+        r: Its residuals, shape (n,).
+        slopes: Their derivatives by the coordinates, shape (n, p).
+        limits: Least and largest coordinates, shape (p,) each.
+    """
+    notes, of = [], residuals.at(x)
+    for i, (name, value) in enumerate(of.items()):
+        gradient, square = float(slopes[:, i] @ r), float(slopes[:, i] @ slopes[:, i])
+        # the change of this coordinate alone that would give the least misfit; without influence
+        # on the figures there is none
+        step = -gradient / square if square > 0 else 0.0
+        low, high = float(limits[0][i]), float(limits[1][i])
+        # SciPy's iterations stay within the bounds, and come near them only
+        if (x[i] + step <= low and x[i] - low < _NEAR) or (
+            x[i] + step >= high and high - x[i] < _NEAR
+        ):
+            bound = residuals.at(np.where(np.arange(x.size) == i, low if step < 0 else high, x))
+            notes.append(
+                f"{name} ends at its bound {bound[name]:.5g}: the measurements ask for more, and "
+                "intervals do not hold there"
+            )
+            continue
+        # a change of the logarithm by -1 is one of the parameter down to 0
+        fallen = residuals.positive(name) and x[i] < np.log(_SMALL)
+        lost = square <= (_ZERO * float(np.abs(slopes).max())) ** 2
+        if fallen and (step <= -1.0 or lost):
+            notes.append(
+                f"{name} = {value:.3g} goes towards 0, which its logarithm does not reach, and "
+                "intervals do not hold there: give a bound, or leave the parameter out; if it may "
+                f"be negative, give a start of at most 0 and scales={{'{name}': ...}}"
+            )
     return notes

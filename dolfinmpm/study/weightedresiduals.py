@@ -15,7 +15,7 @@ from dolfinmpm._platform.errors import (
     PointsOutsideGridError,
     StateError,
 )
-from dolfinmpm.study.derivatives import differentiate
+from dolfinmpm.study.derivatives import Derivatives, differentiate
 from dolfinmpm.study.scenerun import Run, Scene
 
 __all__ = ["WeightedResiduals"]
@@ -31,11 +31,12 @@ class WeightedResiduals:
         start: First values of the parameters.
         sizes: Sizes of the parameters.
         measured: Name → measurements after each step; NaN where there is none.
-        weights: Name → weights, of the same shapes.
+        weights: Name → weights, of the same shapes; measurements of weight zero do not count.
         say: Function of a row of the trace, or None.
 
     Attributes:
         trace: Rows of the trace.
+        count: Number n of the measurements that count, which have residuals.
     """
 
     def __init__(
@@ -45,6 +46,9 @@ class WeightedResiduals:
     ):  # fmt: skip
         self._scene, self._start, self._sizes, self._say = scene, dict(start), dict(sizes), say
         self._measured, self._weights = measured, weights
+        # a residual of weight zero would be a degree of freedom that tells nothing
+        self._keep = {k: np.isfinite(v) & (weights[k] > 0) for k, v in measured.items()}
+        self.count = sum(int(keep.sum()) for keep in self._keep.values())
         self.trace: list[dict[str, Any]] = []
         self._comm: MPI.Intracomm = MPI.COMM_SELF
         self._known: dict[bytes, tuple[Array, Array, dict[str, Array]]] = {}
@@ -56,10 +60,14 @@ class WeightedResiduals:
             for (name, value), q in zip(self._start.items(), x)
         }
 
+    def positive(self, name: str) -> bool:
+        """Whether the coordinate of a parameter is its logarithm, so that it stays above 0."""
+        return self._start[name] > 0
+
     def coordinate(self, name: str, value: float) -> float:
         """Coordinate of a value of a parameter; the inverse of `at`."""
         start = self._start[name]
-        if start > 0:
+        if self.positive(name):
             return float(np.log(value / start)) if value > 0 else -np.inf
         return (value - start) / self._sizes[name]
 
@@ -70,7 +78,17 @@ class WeightedResiduals:
         return run
 
     def run(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:
-        """Residuals, their derivatives, and figures, of a run at coordinates. Collective."""
+        """Residuals, their derivatives, and figures, of a run at coordinates. Collective.
+
+        Returns:
+            Residuals, shape (n,), their derivatives by the coordinates, shape (n, p), and name →
+            figures. Residuals of a run that failed are inf, and its derivatives NaN.
+
+        Raises:
+            ParameterError: A figure that was measured is missing or has another shape, or a figure
+                of the first run is not finite.
+            ConvergenceError: The first run fails.
+        """
         # all ranks must take the same way to the last bit
         x = np.asarray(self._comm.bcast(x))
         if x.tobytes() not in self._known:
@@ -80,8 +98,7 @@ class WeightedResiduals:
     def _new(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:
         m, failed, figures = self.at(x), "", {}
         scales = {k: self._sizes[k] for k, value in self._start.items() if value <= 0}
-        count = sum(int(np.isfinite(values).sum()) for values in self._measured.values())
-        residuals, slopes = np.full(count, np.inf), np.full((count, x.size), np.nan)
+        residuals, slopes = np.full(self.count, np.inf), np.full((self.count, x.size), np.nan)
         try:
             found = differentiate(self._built, m, scales=scales, central=False)
         except (ConvergenceError, PointsOutsideGridError, StateError) as error:
@@ -91,22 +108,46 @@ class WeightedResiduals:
         else:
             figures = found.figures
             self._check(figures)
-            keep = {k: np.isfinite(values) for k, values in self._measured.items()}
-            residuals = np.concatenate([
-                (self._weights[k] * (figures[k] - values))[keep[k]]
-                for k, values in self._measured.items()
-            ])  # fmt: skip
-            slopes = np.concatenate([
-                np.stack([(w * found.derivatives[k][p])[keep[k]] for p in m], axis=-1)
-                for k, w in self._weights.items()
-            ])  # fmt: skip
-            residuals, slopes = self._comm.bcast((residuals, slopes))
+            # all ranks must take the words of rank 0, too: they decide whether the run failed
+            failed = self._comm.bcast(self._undefined(found))
+            if failed and not self.trace:
+                raise ParameterError(
+                    f"{failed} in the first run: return a finite number there, or give NaN as the "
+                    "measurement"
+                )
+            if not failed:
+                residuals, slopes = self._comm.bcast(self._weighted(found))
         misfit = float(np.sqrt(np.mean(residuals**2)))
         row = {**m, "misfit": misfit, "failed": failed}
         self.trace.append(row)
         if self._say is not None:
             self._say(row)
         return residuals, slopes, figures
+
+    def _weighted(self, found: Derivatives) -> tuple[Array, Array]:
+        """Weighted residuals, shape (n,), and their derivatives, shape (n, p)."""
+        residuals = [
+            (self._weights[k] * (found.figures[k] - values))[self._keep[k]]
+            for k, values in self._measured.items()
+        ]
+        slopes = [
+            np.stack([(w * d)[self._keep[k]] for d in found.derivatives[k].values()], axis=-1)
+            for k, w in self._weights.items()
+        ]
+        return np.concatenate(residuals), np.concatenate(slopes)
+
+    def _undefined(self, found: Derivatives) -> str:
+        """The first figure that counts and is not finite, or whose derivative is not, in words."""
+        for name, keep in self._keep.items():
+            # the derivatives come second, because a figure that is nan has none
+            of = {f"the derivative of the figure '{name}' by {p}": values
+                  for p, values in found.derivatives[name].items()}  # fmt: skip
+            for what, values in {f"the figure '{name}'": found.figures[name], **of}.items():
+                bad = keep & ~np.isfinite(values)
+                if bad.any():
+                    step = int(np.argwhere(bad)[0][0]) + 1
+                    return f"{what} is {values[bad][0]:g} after step {step}"
+        return ""
 
     def _check(self, figures: Mapping[str, Array]) -> None:
         """Raise ParameterError unless the run has all that was measured."""

@@ -23,6 +23,23 @@ def yielding(m):
     return column({"density": 80.0, **m}, law="von-mises")
 
 
+def of_steps(figure, count=6):
+    """A scene whose figure "y" is a function of the parameters and of the number of the step."""
+
+    def scene(m):
+        run = column({"E": 10e3, "nu": 0.2, "density": 80.0}, steps=count)
+        steps = []
+        run.steps = [lambda step=step: (step(), steps.append(1)) for step in run.steps]
+        run.measured = {"y": lambda: figure(m, len(steps))}
+        return run
+
+    return scene
+
+
+def line(m, step):
+    return m["a"] + m["b"] * step
+
+
 @pytest.fixture(scope="module")
 def exact():
     return {"motion": history_of(yielding, TRUTH)["motion"]}
@@ -41,17 +58,11 @@ def test_exact_data_give_the_parameters(exact):
 
 def test_intervals_are_those_of_linear_regression():
     """A figure that is linear in two parameters, of which one is negative."""
-
-    def line(m):
-        run = column({"E": 10e3, "nu": 0.2, "density": 80.0}, steps=6)
-        steps = []
-        run.steps = [lambda step=step: (step(), steps.append(1)) for step in run.steps]
-        run.measured = {"y": lambda: m["a"] + m["b"] * len(steps)}
-        return run
-
     x, noise = np.arange(1.0, 7.0), np.array([0.1, -0.2, 0.05, 0.1, -0.1, 0.02])
     y = -1.0 - 0.5 * x + noise
-    fit = study.calibrate(line, {"a": -2.0, "b": -1.0}, {"y": y}, scales={"a": 1.0, "b": 1.0})
+    fit = study.calibrate(
+        of_steps(line), {"a": -2.0, "b": -1.0}, {"y": y}, scales={"a": 1.0, "b": 1.0}
+    )
     (b, a), covariance = np.polyfit(x, y, 1, cov=True)
     assert fit.parameters == pytest.approx({"a": a, "b": b}, rel=1e-5)
     np.testing.assert_allclose(fit.covariance, covariance[::-1, ::-1], rtol=1e-5)
@@ -108,6 +119,67 @@ def test_bounds_and_gaps(exact):
     assert fit.parameters["E"] == pytest.approx(12e3, rel=1e-2)
 
 
+def test_measurements_of_weight_zero_do_not_count():
+    """Intervals are those of the measurements without them."""
+    y = np.array([1.2, 1.4, 2.1, 2.4])
+    start, scene = {"a": 0.8, "b": 0.5}, of_steps(line, 4)
+    gaps = study.calibrate(scene, start, {"y": [*y[:3], np.nan]}, weights={"y": 1.0})
+    zero = study.calibrate(scene, start, {"y": y}, weights={"y": [1.0, 1.0, 1.0, 0.0]})
+    assert zero.intervals == gaps.intervals
+    assert zero.misfit == gaps.misfit
+    two = study.calibrate(scene, start, {"y": y}, weights={"y": [1.0, 1.0, 0.0, 0.0]})
+    assert two.intervals == {"a": (0.0, np.inf), "b": (0.0, np.inf)}
+    assert "2 measurements for 2 parameters leave no variance to see: measure more" in two.notes
+    with pytest.raises(ParameterError, match=r"1 measurements \(those of weight 0 do not count\)"):
+        study.calibrate(scene, start, {"y": y}, weights={"y": [0.0, 1.0, 0.0, 0.0]})
+
+
+def test_a_figure_that_is_not_finite():
+    def broken(m, step):
+        return np.nan if step == 2 else m["a"] * step
+
+    with pytest.raises(ParameterError, match="the figure 'y' is nan after step 2 in the first run"):
+        study.calibrate(of_steps(broken, 3), {"a": 1.0}, {"y": [2.0, 4.0, 6.0]})
+    fit = study.calibrate(of_steps(broken, 3), {"a": 1.0}, {"y": [2.0, np.nan, 6.0]})
+    assert fit.parameters["a"] == pytest.approx(2.0, rel=1e-5)
+
+    def root(m, step):
+        return np.sqrt(1.0 - m["a"]) if m["a"] <= 1.0 else np.nan
+
+    with pytest.raises(ParameterError, match="derivative of the figure 'y' by a is nan after step"):
+        study.calibrate(of_steps(root, 2), {"a": 1.0}, {"y": [0.5, 0.5]})
+
+    def later(m, step):
+        return np.log(2.2 - m["a"]) if m["a"] < 2.2 else np.nan
+
+    # a later run fails in place of the calibration
+    fit = study.calibrate(of_steps(later, 2), {"a": 1.0}, {"y": [-1.0, -1.0]})
+    assert fit.parameters["a"] == pytest.approx(2.2 - np.exp(-1.0), rel=1e-5)
+    assert any("the figure 'y' is nan after step 1" in row["failed"] for row in fit.trace)
+
+
+def test_ends_of_parameters_are_told():
+    """Bounds that hold a parameter back, and a positive parameter whose best value is below 0."""
+    y = -1.0 + 2.0 * np.arange(1, 4)
+    held = study.calibrate(
+        of_steps(line, 3), {"a": -0.5, "b": 1.5}, {"y": y}, bounds={"a": (-0.7, 0.7), "b": (1, 9)}
+    )
+    assert held.parameters["a"] == pytest.approx(-0.7, rel=1e-3)
+    low, high = held.intervals["a"]
+    assert low < high
+    assert [x for x in held.notes if "bound" in x] == [
+        "a ends at its bound -0.7: the measurements ask for more, and intervals do not hold there"
+    ]
+    falls = study.calibrate(of_steps(line, 3), {"a": 1.0, "b": 1.5}, {"y": y})
+    assert falls.parameters["a"] < 1e-3
+    assert any("goes towards 0, which its logarithm does not reach" in x for x in falls.notes)
+    free = study.calibrate(
+        of_steps(line, 3), {"a": -0.5, "b": 1.5}, {"y": y}, bounds={"a": (-2.0, 2.0), "b": (1, 9)}
+    )
+    assert free.parameters == pytest.approx({"a": -1.0, "b": 2.0}, rel=1e-4)
+    assert free.notes == []
+
+
 @pytest.mark.parametrize(
     ("start", "measured", "options", "message"),
     [
@@ -126,6 +198,7 @@ def test_bounds_and_gaps(exact):
         ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"E": 1.0}}, "must be .least, largest."),
         ({"E": 1e4}, {"y": [1.0]}, {"progress": 1}, "progress"),
         ({"E": 1e4}, {"y": [np.nan]}, {}, "0 measurements cannot tell 1 parameters"),
+        ({"E": 1e4}, {"y": [1.0, np.inf]}, {}, r"\['y'\] is infinite after step 2.*: give NaN"),
     ],
 )
 def test_bad_measurements(start, measured, options, message):
