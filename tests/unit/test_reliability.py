@@ -176,6 +176,47 @@ def test_a_field_has_its_mean_deviation_and_correlation(kernel):
         assert np.corrcoef(values.T)[0, 1] == pytest.approx(math.exp(-0.25), abs=0.03)
 
 
+def variance_over_the_box(field, x):
+    """Mean over places of the squares of the modes of a normal field whose variance is one."""
+    middle = field.at(x, {})
+    modes = np.array([field.at(x, {name: 1.0}) - middle for name in field.names])
+    return float((modes**2).sum(axis=0).mean())
+
+
+@pytest.mark.parametrize(("count", "length"), [(3, 10.0), (20, 1.0), (40, 1.0)])
+def test_the_share_of_a_line_is_the_exact_one(count, length):
+    """Ghanem & Spanos (1991), section 2.3.3: modes of exp(-r) over a line are known."""
+    field = study.RandomField(
+        (0,), (10,), length, mean=1.0, coefficient=1.0, modes=count, kernel="exponential",
+        lognormal=False,
+    )  # fmt: skip
+    c, values = 1 / length, []
+    for k in range(count):
+        # bisection between the poles: c - w tan(5 w) = 0 and w + c tan(5 w) = 0
+        low, high = k * np.pi / 10, (k + 1) * np.pi / 10
+        for _ in range(60):
+            w = (low + high) / 2
+            tan = math.tan(5 * w)
+            below = c - w * tan > 0 if k % 2 == 0 else w + c * tan < 0
+            low, high = (w, high) if below else (low, w)
+        values.append(2 * c / (w**2 + c**2) / 10)
+    assert field.share == pytest.approx(sum(values), rel=0.01)
+    x = (np.arange(2003) + 0.5)[:, None] * 10 / 2003
+    assert field.share == pytest.approx(variance_over_the_box(field, x), abs=0.003)
+
+
+@pytest.mark.parametrize("kernel", ["gaussian", "exponential"])
+@pytest.mark.parametrize("count", [20, 60])
+def test_the_share_is_that_between_the_nodes(kernel, count):
+    field = study.RandomField(
+        (0, 0), (10, 5), (4.0, 1.5), mean=1.0, coefficient=1.0, modes=count, kernel=kernel,
+        lognormal=False,
+    )  # fmt: skip
+    lines = [(np.arange(n) + 0.5) * a / n for n, a in ((37, 10), (29, 5))]
+    x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    assert field.share == pytest.approx(variance_over_the_box(field, x), abs=0.002)
+
+
 def test_a_field_by_its_seed_and_of_bad_values():
     options = {"mean": 20e3, "coefficient": 0.3, "modes": 5}
     field = study.RandomField((0, 0), (4, 2), 2.0, **options)
