@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_function, number, shown, whole
-from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm.study.derivatives import differentiate
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown, whole
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError, call_together
+from dolfinmpm.study.derivatives import Derivatives, differentiate
 from dolfinmpm.study.distributions import LogNormal, Normal, checked, openturns
-from dolfinmpm.study.scenerun import Run, Scene, last_value
+from dolfinmpm.study.scenerun import Run, Scene, built, last_number, last_value
 
 __all__ = ["LimitState", "Reliability", "limit_state", "reliability"]
 
@@ -55,18 +55,25 @@ class LimitState:
         self._known: dict[bytes, tuple[float, Array | None]] = {}
 
     def _built(self, m: dict[str, float]) -> Run:
-        run = self._scene(m)
-        if isinstance(run, Run):
-            self._comm = run.problems[0].comm
-            if self._limit not in run.measured:
-                raise ParameterError(
-                    f"limit = '{self._limit}' is no figure of the scene; its figures are "
-                    f"{', '.join(run.measured)}"
-                )
+        run = built(self._scene, m)
+        self._comm = run.problems[0].comm
+        if self._limit not in run.measured:
+            raise ParameterError(
+                f"limit = '{self._limit}' is no figure of the scene; its figures are "
+                f"{', '.join(run.measured)}"
+            )
         return run
 
     def __call__(self, values: npt.ArrayLike) -> float:
-        """The figure at values of the parameters, from a run without derivatives. Collective."""
+        """The figure at values of the parameters, from a run without derivatives. Collective.
+
+        Args:
+            values: One value per parameter, shape (p,), each in its unit.
+
+        Raises:
+            ParameterError: A value is not finite, the figure is not one number or NaN, or the scene
+                returns no `Run`.
+        """
         x = self._shared(values)
         if x.tobytes() not in self._known:
             run = self._built(self._named(x))
@@ -79,30 +86,50 @@ class LimitState:
         return self._known[x.tobytes()][0]
 
     def gradient(self, values: npt.ArrayLike) -> Array:
-        """Derivatives by the parameters, shape (p,), per unit of each. Collective."""
+        """Derivatives by the parameters, shape (p,), per unit of each. Collective.
+
+        Args:
+            values: One value per parameter, shape (p,), each in its unit.
+
+        Raises:
+            ParameterError: As `LimitState.__call__`, or a derivative is not finite.
+        """
         x = self._shared(values)
         known = self._known.get(x.tobytes())
         if known is None or known[1] is None:
             m = self._named(x)
             found = differentiate(self._built, m, scales=self._sizes, central=False)
-            by = found.derivatives[self._limit]
-            values = [float(by[k][-1]) / self._sizes[k] for k in self.names]
-            self._keep(x, float(found.figures[self._limit][-1]), np.array(values))
+            self._keep(x, *call_together(self._comm, lambda: self._last(found)))
             self.runs[0] += 1
         slopes = self._known[x.tobytes()][1]
         assert slopes is not None
         return slopes
+
+    def _last(self, found: Derivatives) -> tuple[float, Array]:
+        """The figure after the last step, and its derivatives, shape (p,), per unit of each."""
+        m, by = found.parameters, found.derivatives[self._limit]
+        value = last_number(self._limit, found.figures[self._limit][-1], m)
+        slopes = np.array([by[k][-1].item() / self._sizes[k] for k in self.names])
+        for name, slope in zip(self.names, slopes):
+            if not np.isfinite(slope):
+                raise ParameterError(
+                    f"the derivative of the figure '{self._limit}' by {name} is {slope:g} at {m}: "
+                    "return a figure that is finite beside these parameters, too"
+                )
+        return value, slopes
 
     def _named(self, x: Array) -> dict[str, float]:
         return {name: float(value) for name, value in zip(self.names, x)}
 
     def _shared(self, values: npt.ArrayLike) -> Array:
         """The values of rank 0: all ranks must take the same way to the last bit."""
-        x = np.asarray(self._comm.bcast(np.asarray(values, float)))
+        x = np.asarray(self._comm.bcast(coordinates("values", values)))
         if x.shape != (len(self.names),):
             raise ParameterError(
                 f"values = {shown(values)} must be one number for each of {', '.join(self.names)}"
             )
+        for name, value in self._named(x).items():
+            number(name, value)
         return x
 
     def _keep(self, x: Array, value: float, slopes: Array | None) -> None:
@@ -198,7 +225,7 @@ class Reliability:
             sampling in structural systems*, doi 10.1016/0167-4730(89)90003-9.
         """
         ot = openturns()
-        count, rng = whole("runs", runs, 2), np.random.default_rng(seed)
+        count, rng = whole("runs", runs, 2), np.random.default_rng(whole("seed", seed, 0))
         u0 = np.array(list(self.normal_design.values()))
         found = np.zeros(count)
         for k in range(count):

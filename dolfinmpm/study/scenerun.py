@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_function, check_kind, shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.argumentchecks import check_function, check_kind, coordinates, shown
+from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.solve.problem import Problem
 
-__all__ = ["Run", "Scene", "last_value"]
+__all__ = ["Run", "Scene", "built", "last_number", "last_value"]
 
 Scene = Callable[[dict[str, float]], "Run"]
 
@@ -77,6 +76,39 @@ class Run:
         return list(self.problem) if several else [self.problem]  # type: ignore[list-item]
 
 
+def built(scene: Callable[..., Any], *arguments: Any) -> Run:
+    """The run that a scene makes of its arguments.
+
+    Raises:
+        ParameterError: The scene returns something else, such as None.
+    """
+    run = scene(*arguments)
+    check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
+    return run  # type: ignore[no-any-return]
+
+
+def last_number(name: str, given: Any, m: Mapping[str, float]) -> float:
+    """A figure after the last step as a number.
+
+    Args:
+        name: Name of the figure.
+        given: What its function has returned.
+        m: Parameters of the run, for the message.
+
+    Raises:
+        ParameterError: It is not one number, or NaN, which is neither below zero nor above.
+    """
+    values = coordinates(f"the figure '{name}'", given)
+    if values.size != 1:
+        raise ParameterError(
+            f"the figure '{name}' has the shape {values.shape} at {dict(m)}, and a limit is one "
+            "number: return the entry that counts, such as the least"
+        )
+    if np.isnan(values).any():
+        raise ParameterError(f"the figure '{name}' is nan at {dict(m)}: return a number")
+    return float(values.item())
+
+
 def last_value(run: Run, name: str, m: Mapping[str, float]) -> float:
     """A figure of a run after its last step. Collective.
 
@@ -86,9 +118,7 @@ def last_value(run: Run, name: str, m: Mapping[str, float]) -> float:
         m: Parameters of the run, for the message.
 
     Raises:
-        ParameterError: The figure is not a number. It would be neither below zero nor above.
+        ParameterError: The figure is not a number.
     """
-    value = float(np.asarray(run.measured[name]()))
-    if math.isnan(value):
-        raise ParameterError(f"the figure '{name}' is nan at {dict(m)}: return a number")
-    return value
+    given = run.measured[name]()
+    return call_together(run.problems[0].comm, lambda: last_number(name, given, m))

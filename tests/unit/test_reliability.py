@@ -136,6 +136,44 @@ def test_a_margin_that_is_no_number_is_not_safe():
         study.limit_state(scene, "margin", {"a": 1.0})([0.0])
 
 
+def test_a_gradient_lets_no_nan_through():
+    g = study.limit_state(planned(lambda m: math.nan), "margin", {"a": 1.0})
+    for call in (g.gradient, g):
+        with pytest.raises(ParameterError, match=r"'margin' is nan at {'a': 0.0}: return a number"):
+            call([0.0])
+    root = planned(lambda m: math.sqrt(1.0 - m["a"]) if m["a"] <= 1.0 else math.nan)
+    with pytest.raises(ParameterError, match="derivative of the figure 'margin' by a is nan at"):
+        study.limit_state(root, "margin", {"a": 1.0}).gradient([1.0])
+    with pytest.raises(ParameterError, match="a = nan must be finite"):
+        study.limit_state(root, "margin", {"a": 1.0})([math.nan])
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        (planned(lambda m: np.ones(2)), r"'margin' has the shape \(2,\) at .*, and a limit is one"),
+        (planned(lambda m: "safe"), r"'margin'.* = 'safe' must be numbers"),
+        (planned(lambda m: None), "'margin' is nan"),
+        (lambda m: None, r"the result of scene = None must be a Run: return study\.Run"),
+    ],
+)
+def test_scenes_without_a_margin(scene, message):
+    g = study.limit_state(scene, "margin", {"a": 1.0})
+    for call in (
+        lambda: g([0.0]),
+        lambda: g.gradient([0.0]),
+        lambda: study.monte_carlo(scene, {"a": study.Normal()}, runs=2),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            call()
+
+
+def test_a_reliability_without_a_margin(openturns):
+    for margin, message in ((np.ones(2), "has the shape"), (math.nan, "'margin' is nan at")):
+        with pytest.raises(ParameterError, match=message):
+            study.reliability(planned(lambda m, margin=margin: margin), {"a": study.Normal()})
+
+
 @pytest.mark.parametrize(
     ("sizes", "message"),
     [
