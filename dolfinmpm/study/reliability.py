@@ -194,7 +194,8 @@ class Reliability:
         probability: Probability of failure by FORM, Φ(−β).
         design: Name → value at the design point, the most likely failure.
         normal_design: The same in standard normal space.
-        importance: Name → share of the variance of the margin; their sum is one.
+        importance: Name → share of the variance of the margin, by its gradient in standard normal
+            space at the design point; their sum is one.
         runs: Number of runs with derivatives, and without.
 
     See `reliability`:
@@ -336,7 +337,10 @@ def reliability(
     result = form.getResult()
     design, normal = result.getPhysicalSpaceDesignPoint(), result.getStandardSpaceDesignPoint()
     u = np.array(normal)
-    shares = u**2 / float(u @ u) if u.any() else np.full(u.size, 1.0 / u.size)
+    # the gradient has the direction of the design point, also where this is the origin
+    slope = np.array(back.gradient(normal)) @ g.gradient(design)
+    slope = slope if slope.any() else u
+    shares = slope**2 / float(slope @ slope)
     side = -1 if result.getIsStandardPointOriginInFailureSpace() else 1
     physical, standard, importance = (
         {name: float(x) for name, x in zip(distributions, values)}

@@ -49,6 +49,15 @@ def test_a_linear_limit_state_is_exact(openturns):
     assert found.runs[0] < 8
 
 
+def test_the_importance_of_an_even_chance(openturns):
+    """With β = 0 the design point has no direction; the gradient of a + 2 b has one."""
+    given = {"a": study.Normal(), "b": study.Normal()}
+    found = study.reliability(planned(lambda m: m["a"] + 2.0 * m["b"]), given)
+    assert (found.beta, found.probability) == (0.0, 0.5)
+    assert found.importance == pytest.approx({"a": 0.2, "b": 0.8}, abs=1e-6)
+    assert found.runs[0] < 4
+
+
 def test_lognormal_strength_over_load(openturns):
     """The logarithm of the ratio of two lognormal parameters is normal."""
     scene = planned(lambda m: math.log(m["strength"] / m["load"]))
