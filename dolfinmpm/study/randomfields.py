@@ -15,6 +15,7 @@ from dolfinmpm._platform.argumentchecks import (
     number,
     per_direction,
     shown,
+    truth,
     whole,
 )
 from dolfinmpm._platform.errors import ParameterError
@@ -101,8 +102,8 @@ class RandomField:
         kernel = choice("kernel", kernel, _KERNELS)
         self._kernel, self._cusp = _KERNELS[kernel], kernel in _CUSPS
         mean, coefficient = number("mean", mean), number("coefficient", coefficient, 0.0, 10.0)
-        self._lognormal = lognormal
-        if lognormal:
+        self._lognormal = truth("lognormal", lognormal)
+        if self._lognormal:
             number("mean", mean, 0.0)
             self._deviation = math.sqrt(math.log1p(coefficient**2))
             self._middle = math.log(mean) - 0.5 * self._deviation**2
@@ -170,10 +171,21 @@ class RandomField:
         """Values of the field, shape (n,).
 
         Args:
-            x: Places (m), shape (n, gdim), such as `points["x"]`.
+            x: Places (m), shape (n, gdim), such as `points["x"]`, or one place, shape (gdim,). On a
+                line shape (n,) will do.
             xi: Name → ξ. Names that are not there count as zero; other names are left alone.
+
+        Raises:
+            ParameterError: The places have another dimension than the box.
         """
-        places = np.asarray(x, float).reshape(-1, self._low.size)
+        places, gdim = coordinates("x", x), self._low.size
+        fits = places.ndim > 0 and (gdim == 1 or places.shape[-1] == gdim or places.shape == (0,))
+        if places.ndim > 2 or not fits or (gdim == 1 and places.shape[1:] not in {(), (1,)}):
+            raise ParameterError(
+                f"x has the shape {places.shape} and must have the shape (n, {gdim}): the box of "
+                f"the field has {gdim} coordinates, so give those of each place"
+            )
+        places = places.reshape(-1, gdim)
         given = np.array([xi.get(name, 0.0) for name in self.names])
         at_nodes = self._vectors @ given
         # part by part: a matrix of all places and nodes may not fit in memory
@@ -183,6 +195,13 @@ class RandomField:
         return np.asarray(np.exp(exponent) if self._lognormal else exponent)
 
     def sample(self, seed: int) -> dict[str, float]:
-        """Random ξ by their names, the same for the same seed."""
-        values = np.random.default_rng(seed).standard_normal(len(self.names))
+        """Random ξ by their names, the same for the same seed and on all ranks.
+
+        Args:
+            seed: Seed of NumPy's generator, a whole number of at least 0.
+
+        Raises:
+            ParameterError: The seed is something else. Without a seed, ranks would differ.
+        """
+        values = np.random.default_rng(whole("seed", seed, 0)).standard_normal(len(self.names))
         return {name: float(xi) for name, xi in zip(self.names, values)}

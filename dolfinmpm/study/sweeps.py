@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import Any
@@ -205,7 +206,7 @@ def worst(rows: Iterable[Row]) -> dict[str, float]:
         The figures "kappa_K", "kappa_M", "dt_consistent" and "dt_lumped".
 
     Raises:
-        ParameterError: The list is empty, or a row lacks one of these figures.
+        ParameterError: The list is empty, or a row lacks one of these figures, or has None or NaN.
 
     >>> import dolfinmpm as mpm
     >>> from dolfinmpm.study import Conditioning
@@ -222,6 +223,15 @@ def worst(rows: Iterable[Row]) -> dict[str, float]:
                 f"a row has no {', '.join(missing)}: {shown(row)}; give the result of study.sweep "
                 "with a scene that returns a study.Conditioning"
             )
+        for key in choose:
+            value = row[key]
+            # nan would count or not, by the order of the rows
+            if not isinstance(value, numbers.Real) or math.isnan(value):
+                place = f" at the place {shown(row['place'])}" if "place" in row else ""
+                raise ParameterError(
+                    f"{key} = {shown(value)}{place} must be a number: leave out the rows of runs "
+                    "that did not finish"
+                )
     return {key: extreme(row[key] for row in rows) for key, extreme in choose.items()}
 
 

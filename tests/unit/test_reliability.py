@@ -280,7 +280,38 @@ def test_a_field_by_its_seed_and_of_bad_values():
         ({"kernel": "square"}, "kernel"),
         ({"lengths": (1.0, 2.0, 3.0)}, "one number, or 2"),
         ({"name": 1}, "name = 1 must be a str"),
+        ({"lognormal": "no"}, "lognormal = 'no' must be True or False"),
     ):
         given = {"low": (0, 0), "high": (4, 2), "lengths": 2.0, **options, **wrong}
         with pytest.raises(ParameterError, match=message):
             study.RandomField(given.pop("low"), given.pop("high"), given.pop("lengths"), **given)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, None, True])
+def test_seeds_are_whole_numbers(seed):
+    field = study.RandomField((0,), (4,), 2.0, mean=1.0, coefficient=0.3, modes=2)
+    with pytest.raises(ParameterError, match=r"seed = .* must be a whole number of at least 0"):
+        field.sample(seed)
+
+
+def test_the_seed_of_a_check_is_a_whole_number(openturns):
+    found = study.Reliability(0.0, 0.5, {"a": 0.0}, {"a": 0.0}, {"a": 1.0}, [1, 0])
+    with pytest.raises(ParameterError, match="seed = None must be a whole number of at least 0"):
+        found.check(seed=None)
+
+
+def test_places_have_the_dimension_of_the_box():
+    options = {"mean": 1.0, "coefficient": 0.3, "modes": 2}
+    plane = study.RandomField((0, 0), (4, 2), 2.0, **options)
+    line = study.RandomField((0,), (4,), 2.0, **options)
+    xi = plane.sample(1)
+    assert plane.at((1.0, 1.0), xi) == pytest.approx(plane.at([(1.0, 1.0)], xi))
+    assert line.at((1.0, 2.0, 3.0), xi) == pytest.approx(line.at([[1.0], [2.0], [3.0]], xi))
+    for field in (plane, line):
+        assert field.at(np.zeros((0, len(field._low))), xi).shape == (0,)
+        assert field.at([], xi).shape == (0,)
+        for shape in ((2, 3), (0, 3), (1, 2, 2), ()):
+            with pytest.raises(ParameterError, match=r"x has the shape .* \(n, [12]\): the box"):
+                field.at(np.zeros(shape), xi)
+    with pytest.raises(ParameterError, match="x = 'here' must be numbers"):
+        line.at("here", xi)

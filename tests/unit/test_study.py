@@ -120,6 +120,11 @@ def test_pictures(tmp_path):
         assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
 
 
+def row(**others):
+    """A row of a sweep of condition numbers."""
+    return {"kappa_K": 9.0, "kappa_M": 2.0, "dt_consistent": 0.4, "dt_lumped": 0.6, **others}
+
+
 def test_wrong_sweeps():
     def scene(place):
         return {"kappa_K": 1.0}
@@ -135,6 +140,11 @@ def test_wrong_sweeps():
         (lambda: study.worst([]), r"rows = \[\] must be a list with at least one entry"),
         (lambda: study.worst(study.sweep(scene, [1])), "a row has no kappa_M, dt_consistent"),
         (lambda: study.worst(None), "rows = None must be a list"),
+        (lambda: study.worst([row(), row(kappa_K=None)]), "kappa_K = None must be a number: leave"),
+        (
+            lambda: study.worst([row(place=0.5, dt_lumped=np.nan), row()]),
+            r"dt_lumped = nan at the place 0\.5 must be a number: leave out the rows",
+        ),
     ):
         with pytest.raises(ParameterError, match=words):
             call()
