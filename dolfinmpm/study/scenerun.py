@@ -84,7 +84,7 @@ def built(scene: Callable[..., Any], *arguments: Any) -> Run:
     """
     run = scene(*arguments)
     check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
-    return run  # type: ignore[no-any-return]
+    return run
 
 
 def last_number(name: str, given: Any, m: Mapping[str, float]) -> float:
