@@ -86,8 +86,7 @@ def run(n, cut, nu):
     if args.levels:
 
         def size(x):
-            # smaller than all leaves at the corner, where a size of 0 m is refused
-            return np.maximum(0.3 * np.linalg.norm(x.T - 1.0, axis=1), 1e-6)
+            return 0.3 * np.linalg.norm(x.T - 1.0, axis=1)
 
         V = refine = mpm.Space(grid, args.basis, refine=size, levels=args.levels)
     points = mpm.fill(grid, body, args.points_per_cell, density, refine=refine)

@@ -70,12 +70,12 @@ class SizeAt:
         t = 0.5 * np.array(list(np.ndindex(*(3,) * gdim)))
         x = low[:, None] + t * (high - low)[:, None]
         sizes = call_function("the size wanted (refine)", self._real, x.reshape(-1, gdim))
-        wrong = ~(sizes > 0)
+        wrong = ~(sizes >= 0)
         if wrong.any():
             k = int(np.argmax(wrong))
             raise ParameterError(
                 f"the size wanted (refine) is {sizes[k]:g} m at {shown(x.reshape(-1, gdim)[k])}: "
-                "it must be a length above 0 m; inf takes cells as large as those of the grid"
+                "it must be a length; inf takes cells as large as those of the grid"
             )
         return np.asarray(sizes.reshape(len(low), -1).min(axis=1))
 
@@ -94,10 +94,10 @@ class SizeAt:
 def _sizes_of(one: CellSize, low: Array, high: Array) -> Array:
     """Sizes wanted by one of them (m), shape (n,), checked; see `CellSize`."""
     sizes = np.asarray(one.wanted(low, high), float)
-    if sizes.shape != (len(low),) or not (sizes > 0).all():
+    if sizes.shape != (len(low),) or not (sizes >= 0).all():
         raise ParameterError(
             f"{type(one).__name__}.wanted returned {shown(sizes)} for {len(low)} cells: it must "
-            "return a size above 0 m for each cell; inf takes cells as large as those of the grid"
+            "return a size for each cell; inf takes cells as large as those of the grid"
         )
     return sizes
 

@@ -251,9 +251,9 @@ class Space:
             constraints. Several displacement fields that divide the points by tags each move
             their own points: bodies with separate velocities on one grid.
         refine: Sizes of cells wanted (m), for cells that are halved where smaller ones are wanted:
-            a function of positions, shape (gdim, n), that returns n sizes above 0;
-            `near(body, size)`; `where_it_yields(points, size)`; or a list of these, of which the
-            least size counts, of all ranks. The grid itself stays. Its cells are the roots of
+            a function of positions, shape (gdim, n), that returns n sizes; `near(body, size)`;
+            `where_it_yields(points, size)`; or a list of these, of which the least size counts, of
+            all ranks. The grid itself stays. Its cells are the roots of
             trees, whose leaves are the cells of the field. Splines are then truncated hierarchical
             B-splines. Needs a rectangular grid. Points should follow: see `Problem.adapt`.
         levels: Largest number of times that a cell of the grid is halved, 0 to 10. With 0 the
