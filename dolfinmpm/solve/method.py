@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm.forms.termqueries import depends_on, summands, term_of
@@ -205,7 +206,7 @@ def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:
 
 
 def symmetric(form: WeakForm) -> bool:
-    """Whether the tangent of a form is symmetric, by its laws and terms.
+    """Whether the tangent of a form is symmetric, by its laws and terms. Collective.
 
     No other term may depend on the increment, such as a follower pressure. (A follower pressure of
     zero would pass a test of the matrix.) Terms over the grid are linear: any tangent shows them.
@@ -213,9 +214,11 @@ def symmetric(form: WeakForm) -> bool:
     laws = form.parts.declarations
     if not all(term.symmetric for term in form.terms):
         return False
-    return only_momentum(form) and all(
+    found = only_momentum(form) and all(
         d.law.symmetric and d.strain != "jaumann" and not d.fbar for d in laws
     )
+    # parameters of a law may be arrays that differ from rank to rank
+    return bool(form.points.comm.allreduce(found, op=MPI.LAND))
 
 
 def crossover(tangent: Tangent, gdim: int) -> int:

@@ -215,6 +215,25 @@ def test_tresca_in_pure_shear():
     assert found.stress[0] == pytest.approx([0, -c, c], rel=1e-12, abs=1e-8)
 
 
+def test_laws_that_call_their_tangent_symmetric_have_such_tangents():
+    rate = {"rate": 2.0}
+    mixed = Tresca(1e4, 0.2, np.array([1e2, 2e2]), ultimate_cohesion=np.array([1e2, 3e2]), **rate)
+    same = Tresca(1e4, 0.2, np.array([1e2, 2e2]), ultimate_cohesion=np.array([1e2, 2e2]), **rate)
+    by_place = Tresca(1e4, 0.2, lambda x: 1e2 + x[0])
+    other = Tresca(1e4, 0.2, lambda x: 1e2 + x[0], ultimate_cohesion=2e2, **rate)
+    found = [law.symmetric for law in (mixed, same, by_place, other)]
+    assert found == [False, True, True, False]
+    # two of three strains are close to each other, so that many states return to an edge
+    strains = np.random.default_rng(0).uniform(-0.15, 0.15, (200, 3))
+    strains[100:, 1] = strains[100:, 2] * (1.0 + 1e-3 * strains[:100, 0])
+    more = {"soft": Tresca(1e4, 0.2, 260.0, ultimate_cohesion=208.0, rate=2.0)}
+    for name, law in (LAWS | more).items():
+        tangent = law.respond(strains, internal=np.full((200, 1), 0.01)).tangent
+        skew = np.abs(tangent - tangent.transpose(0, 2, 1)).max() / np.abs(tangent).max()
+        assert not law.symmetric or skew < 1e-12, name
+        assert name not in ("soft", "tresca-hardening") or skew > 1e-3
+
+
 def test_triaxial_strength_with_friction():
     # σ₁ = σ₃ (1 + sin φ)/(1 − sin φ) for c = 0, in compression and in extension
     law = LAWS["sand"]
