@@ -22,6 +22,13 @@ __all__ = ["FollowedRun", "FollowingRuns"]
 
 Array = npt.NDArray[np.float64]
 
+# Share of the forces that curvature leaves at the perturbation ε, as a multiple of ε, and its bound
+_CURVED, _EVEN = 10.0, 1e-5
+_UNSETTLED = (
+    "forces remain that the tangent does not remove (it may not be the derivative of the forces), "
+    "so that derivatives may be wrong"
+)
+
 
 class FollowedRun:
     """One run: that at the parameters, or one at perturbed parameters.
@@ -108,6 +115,7 @@ class FollowingRuns:
         started = time.perf_counter()
         self.name, self.epsilon = name, epsilon
         self._make, self._tape = make, tape
+        self._even = min(_CURVED * epsilon, _EVEN) if both else 0.0
         self.members: list[FollowedRun] = []
         self.readers: list[Reader] = []
         for sign in (1, -1)[: 1 + both]:
@@ -118,7 +126,7 @@ class FollowingRuns:
 
     def _add(self, sign: int) -> None:
         """Let another run follow the tape."""
-        member, reader = self._make(sign), Reader(self._tape)
+        member, reader = self._make(sign), Reader(self._tape, self, self._even)
         for problem in member.problems:
             if isinstance(problem, QuasiStatic):
                 follow(problem, reader)
@@ -178,7 +186,9 @@ class FollowingRuns:
                 "the same for all parameters"
             )
         found = differences(base.comm, marks, member.marks.end())
-        return [*reader.off, *(f"{n} {what}" for what, n in found.items())]
+        reasons = [*reader.off, *(f"{n} {what}" for what, n in found.items())]
+        # beside a kink, the tangent of the run at m is not that of this run
+        return reasons if reasons or reader.settled else [_UNSETTLED]
 
     def _differences(
         self, base: FollowedRun, leaves: Sequence[Sequence[str]], middle: Mapping[str, Array]

@@ -147,19 +147,23 @@ class Reader:
 
     Args:
         tape: The tape.
+        pair: What this reader and that of the mirror image of its run have in common.
+        even: Share of the forces that may remain by errors that cancel in such a pair.
 
     Attributes:
         off: Reasons why the reader does not take the same way as the tape.
+        settled: Whether the equations of the run are solved to the digits of a derivative.
     """
 
-    def __init__(self, tape: Tape):
-        self.tape, self._at = tape, 0
+    def __init__(self, tape: Tape, pair: object = None, even: float = 0.0):
+        self.tape, self.pair, self.even, self._at = tape, pair, even, 0
         tape.readers += 1
         self.off: list[str] = []
+        self.settled = True
 
     def begin(self) -> None:
         """Begin at the start of the tape."""
-        self._at, self.off = 0, []
+        self._at, self.off, self.settled = 0, [], True
 
     def next(self, operator: Operator) -> TapedStep | None:
         """The next solution, or None if the equations have other unknowns. Collective."""
@@ -227,7 +231,9 @@ class FollowingNewton(Newton):
             return Outcome(known.reason, np.zeros(operator.here.unknowns.owned), known.iterations)
         x = known.x.copy()
         if stage.tangent is not None:
-            x = stage.tangent.follow(operator, x, stage.force)
+            reader = self.reader
+            x, settled = stage.tangent.follow(operator, x, stage.force, reader.pair, reader.even)
+            reader.settled &= settled
         operator.move(x)
         operator.update_contact()
         self.reader.compare(stage, operator)

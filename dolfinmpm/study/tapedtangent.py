@@ -39,6 +39,9 @@ DIGITS, ACCURATE, ROUNDING = 1e-7, 1e-10, 1e-15
 _MULTIGRID, _LEVELS = ("mg", "gamg"), 1e-6
 # Share that the first solution leaves, and the largest one with which a lent tangent is good enough
 _FIRST, _SLOW = 1e-5, 1e-2
+# What may remain after solutions with the tangent at the solution, as a multiple of what they leave
+# and of rounding; the largest share at which another solution with it helps, and how many may
+_ABOVE, _NOISE, _CONTRACTS, _MOST = 3.5, 30.0, 0.7, 30
 
 
 @dataclass
@@ -95,6 +98,8 @@ class TapedTangent:
         self._complete, self._comm = readers >= factors_pay, linear.comm
         self._known = [x, *spare.take_changes(operator.here.unknowns)]
         self._products: list[Array] = []
+        # pair of runs → number of corrections of its first run, and whether they were enough
+        self._corrections: dict[object, tuple[int, bool]] = {}
         method = linear.method
         few = method is not None and readers < (factors_pay if method.incomplete else _MANY)
         self.exact = not (lend and few and linear.has_tangent)
@@ -181,59 +186,133 @@ class TapedTangent:
         weights = np.linalg.lstsq(square, sums[:, -1] / size, rcond=1e-12)[0] / size
         return np.column_stack(self._known) @ self._comm.bcast(weights)
 
-    def follow(self, operator: Operator, x: Array, kept: Array) -> Array:
+    def follow(
+        self, operator: Operator, x: Array, kept: Array, pair: object = None, even: float = 0.0
+    ) -> tuple[Array, bool]:
         """Unknowns at which the out-of-balance force is that of the solution. Collective.
 
         Args:
             operator: The equations of a run that follows.
             x: The unknowns of the solution, shape (owned,).
             kept: The out-of-balance force there (N), shape (owned,).
+            pair: What this run and its mirror image have in common. The second one takes as many
+                corrections as the first one, so that their errors of second order cancel.
+            even: Share of the forces that such errors may leave.
+
+        Returns:
+            The unknowns, and whether little enough remains.
         """
         residual = operator.residual(x)
         rest, least = residual.values - kept, ROUNDING * residual.reference
         if self._norm(rest) <= least:
-            return x
-        found = self._follow(operator, x, kept, rest, least)
+            return x, True
+        found, settled = self._follow(operator, x, kept, rest, least, pair, even)
         if not self._linear.direct:
             change = x - found
             self._learn(change, rest)
             self._spare.changes.append(change)
-        return found
+        return found, settled
 
     def _follow(
-        self, operator: Operator, x: Array, kept: Array, rest: Array, least: float
-    ) -> Array:
+        self, operator: Operator, x: Array, kept: Array, rest: Array, least: float, pair: object,
+        even: float,
+    ) -> tuple[Array, bool]:  # fmt: skip
         """See `follow`. Collective.
 
         Args:
-            operator, x, kept: See `follow`.
+            operator, x, kept, pair, even: See `follow`.
             rest: What the out-of-balance force at x has more than that of the solution (N).
             least: Norm of it that counts as rounding (N).
         """
-        if self.exact:
-            return x - self._solve(operator, rest, self._left)
         first = self._norm(rest)
+        if self.exact:
+            x = x - self._solve(operator, rest, self._left)
+            known = self._corrections.get(pair)
+            if known is not None:
+                return self._again(operator, x, kept, *known)
+            bound = max(max(_ABOVE * self._left, even) * first, _NOISE * least)
+            return self._settle(operator, x, kept, (first, bound, least), pair)
         if self._linear is self._lender and self._lender.version != self._version:
             self._assemble(operator)
         x, former = x - self._solve(operator, rest, _FIRST), first
+        bound = max(DIGITS * first, least)
         for _ in range(3):
             rest = operator.residual(x).values - kept
             norm = self._norm(rest)
-            if norm <= max(DIGITS * first, least):
-                return x
+            if norm <= bound:
+                return x, True
             share = norm / former
             if not share <= _SLOW:
-                return x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
+                break
             digits = min(max(self._left * first / norm, DIGITS), 0.1)
             x, former = x - self._solve(operator, rest, digits), norm
             # the next residual follows from what the tangent has left of this one
             if share * norm <= DIGITS * first:
-                return x
-        rest = operator.residual(x).values - kept
-        norm = self._norm(rest)
-        if norm <= max(DIGITS * first, least):
-            return x
-        return x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
+                return x, True
+        else:
+            rest = operator.residual(x).values - kept
+            norm = self._norm(rest)
+            if norm <= bound:
+                return x, True
+        x = x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
+        bound = max(_ABOVE * DIGITS * first, _NOISE * least)
+        return self._settle(operator, x, kept, (norm, bound, least), None, own=True)
+
+    def _settle(
+        self, operator: Operator, x: Array, kept: Array, sizes: tuple[float, float, float],
+        pair: object, own: bool = False,
+    ) -> tuple[Array, bool]:  # fmt: skip
+        """Correct unknowns while the tangent lets forces remain. Collective.
+
+        The tangent of a law need not be the exact derivative of its stress. Then one solution
+        leaves a share of the forces, and each further one leaves the same share of the rest.
+
+        Args:
+            operator, x, kept, pair: See `follow`.
+            sizes: Norm of the forces before the last solution, the norm that may remain, and that
+                of their rounding (N).
+            own: Whether the tangent is assembled at the unknowns of this run.
+
+        Returns:
+            The unknowns, and whether little enough remains.
+        """
+        former, bound, least = sizes
+        count, settled = 0, True
+        while True:
+            rest = operator.residual(x).values - kept
+            norm = self._norm(rest)
+            if norm <= bound:
+                break
+            share = norm / former
+            if not share <= _CONTRACTS or count == _MOST:
+                if own or not np.isfinite(norm):
+                    settled = norm <= _NOISE**2 * least
+                    break
+                # a run on the other side of a kink has another tangent
+                own, share = True, 0.5
+            digits = min(max(0.1 * bound / norm, DIGITS), 0.1)
+            solve = self._own if own else self._solve
+            x, former, count = x - solve(operator, rest, digits), norm, count + 1
+            # what remains follows from the share that the tangent leaves
+            if share * norm <= 0.3 * bound:
+                break
+        if pair is not None:
+            self._corrections[pair] = count, settled
+        return x, settled
+
+    def _again(
+        self, operator: Operator, x: Array, kept: Array, count: int, settled: bool
+    ) -> tuple[Array, bool]:
+        """Correct unknowns as often as those of the first run of a pair. Collective.
+
+        Args:
+            operator, x, kept: See `follow`.
+            count: Number of corrections.
+            settled: Whether little enough remained.
+        """
+        for _ in range(count):
+            x = x - self._solve(operator, operator.residual(x).values - kept, 0.1 * DIGITS)
+        return x, settled
 
     def _norm(self, values: Array) -> float:
         return float(np.sqrt(self._comm.allreduce(float(values @ values), op=MPI.SUM)))

@@ -1,0 +1,85 @@
+"""Derivatives of runs with laws whose tangent is not the derivative of their stress."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+from dolfinmpm import study
+from dolfinmpm.materials import Law, Parameter, law_kernel
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
+from derivative_scenes import errors_of, mean_of, motion_of
+
+GIVEN = {"p0": 2e3, "G": 6e3, "load": 300.0, "share": 1.0}
+
+
+@law_kernel
+def _stiffening(parameters, strain, old, new, stress, tangent):
+    p0, G, share = parameters[0], parameters[1], parameters[2]
+    volume = strain[0] + strain[1] + strain[2]
+    for i in range(3):
+        stress[i] = p0 * (1.0 - np.exp(-10.0 * volume)) + 2.0 * G * (strain[i] - volume / 3.0)
+        for j in range(3):
+            # the bulk modulus is that at no strain
+            tangent[3 * i + j] = share * 10.0 * p0 - 2.0 * G / 3.0
+        tangent[4 * i] += 2.0 * G
+    return 0
+
+
+class Stiffening(Law):
+    """Bulk modulus that grows with pressure, with the tangent at no strain times a share."""
+
+    parameters = {name: Parameter("", low=0.0) for name in ("p0", "G", "share")}
+    kernel = _stiffening
+
+
+def compressed(m, share=1.0):
+    """A column under a load on its top, in two steps."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(3), range(5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (1.5, 3.5)), 2, 80.0)
+    V = mpm.Space(grid, "gimp")
+    load = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(Stiffening(p0=m["p0"], G=m["G"], share=share), points, V.increment, V.test)
+    F -= ufl.inner(load, V.test) * points.dX
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, mpm.rollers(V, "left") + mpm.fixed(V, "bottom"),
+        stabilisation="ghost", tolerance=1e-12, max_iterations=100,
+    )  # fmt: skip
+
+    def step(k):
+        load.value[:] = 0.1 * k * m["load"], -k * m["load"]
+        problem.step()
+
+    stress = lambda: mean_of(points, points["stress"])  # noqa: E731
+    steps = [partial(step, k) for k in (1, 2)]
+    return study.Run(problem, steps, {"motion": motion_of(points), "stress": stress})
+
+
+@pytest.mark.parametrize(
+    ("names", "options"),
+    [(["p0"], {}), (["p0", "G", "load"], {}), (["p0", "G"], {"central": True})],
+)
+def test_tangents_that_are_not_derivatives_need_more_corrections(names, options):
+    scene = lambda m: compressed({**GIVEN, **m})  # noqa: E731
+    chosen = {name: GIVEN[name] for name in names}
+    found = study.differentiate(scene, chosen, **options)
+    assert not found.notes
+    assert max(errors_of(scene, chosen, found).values()) < 2e-6
+
+
+def test_tangents_with_which_corrections_do_not_contract_are_told(monkeypatch):
+    from dolfinmpm.study import tapedtangent
+
+    monkeypatch.setattr(tapedtangent, "_MOST", 1)
+    scene = lambda m: compressed({**GIVEN, **m}, share=1.2)  # noqa: E731
+    found = study.differentiate(scene, {"p0": GIVEN["p0"]})
+    assert "derivatives may be wrong" in found.notes[0]
