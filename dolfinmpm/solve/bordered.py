@@ -34,10 +34,12 @@ class Border(Protocol):
     Attributes:
         tolerance: Bound of the equations' errors, each divided by the size of its equation.
         unmet: Message if forces balance and these equations are not satisfied.
+        sizes: By what the last `gap` has divided the equations, shape (m,).
     """
 
     tolerance: float
     unmet: str
+    sizes: Array
 
     @property
     def settled(self) -> bool:

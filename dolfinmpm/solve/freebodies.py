@@ -61,7 +61,7 @@ class FreeBodies:
 
     Attributes:
         inertial: Accelerations by increments, or None in quasi-static steps.
-        tolerance, unmet: See `Border`.
+        tolerance, unmet, sizes: See `Border`.
     """
 
     unmet = "the forces on a free rigid body were not balanced"
@@ -71,6 +71,7 @@ class FreeBodies:
         self.tolerance = tolerance
         self._all, self._bodies = bodies, bodies.free
         self.inertial: Inertial | None = None
+        self.sizes: Array = np.empty(0)
 
     def begin(self, operator: Operator) -> None:
         """See `Border`. Collective."""
@@ -154,7 +155,7 @@ class FreeBodies:
 
     def gap(self, x: Array) -> tuple[Array, Array, Array]:
         """See `Border`. Collective."""
-        gaps, columns, blocks = [], [], []
+        gaps, columns, blocks, sizes_of = [], [], [], []
         weight = 1.0 if self.inertial is None else self.inertial.weight
         comm = self._operator.here.unknowns.comm
         for body in self._bodies:
@@ -197,6 +198,7 @@ class FreeBodies:
             scale[d:] = max(scale[d:].max(), scale[:d].max() * reach)
             scale[:d] = max(scale[:d].max(), 1e-300)
             scale[d:] = np.maximum(scale[d:], 1e-300)
+            sizes_of.append(scale[own])
             gaps.append((out / scale)[own])
             columns.append(-by_x / scale[own])
             blocks.append((slope / scale[:, None])[np.ix_(own, own)])
@@ -206,6 +208,7 @@ class FreeBodies:
             n = len(block)
             whole[at : at + n, at : at + n] = block
             at += n
+        self.sizes = np.concatenate(sizes_of)
         return np.concatenate(gaps), np.hstack(columns), whole
 
 

@@ -41,7 +41,7 @@ class PathBorder:
         travelled: Controlled displacement since the first step (m).
         speed: Root mean square displacement per load factor so far (m), or infinity before any. It
             bounds the estimate of the displacements in the first step.
-        tolerance, unmet: See `Border`.
+        tolerance, unmet, sizes: See `Border`.
 
     Raises:
         FormError: The load factor multiplies a term of the grid with the increment, or the control
@@ -64,6 +64,8 @@ class PathBorder:
         self.length: float | None = None
         self.last_change: float | None = None
         self.first = 0.0
+        # the length by which the equation is divided does not change in a step
+        self.sizes = np.ones(1)
         self.factor = load.value
         self.travelled = 0.0
         self.speed = math.inf

@@ -22,12 +22,24 @@ from dolfinmpm.solve.bordered import Border, Bordered
 from dolfinmpm.solve.newton import Newton, Outcome
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.study.tapedtangent import ACCURATE, SpareSolver, TapedTangent
+from dolfinmpm.study.tapedtangent import (
+    ACCURATE,
+    CONTRACTS,
+    MOST,
+    NOISE,
+    ROUNDING,
+    SpareSolver,
+    TapedTangent,
+)
 
 __all__ = ["Reader", "Tape", "TapedStep", "follow", "record"]
 
 Array = npt.NDArray[np.float64]
 Kind = TypeVar("Kind")
+
+# With additional equations: share of the forces, and of these equations' changes, that may remain,
+# and the share from which it is told
+_LEFT, _TOLD = 1e-6, 1e-3
 
 
 @dataclass
@@ -58,14 +70,18 @@ class _BorderAt:
     Attributes:
         value: The additional unknowns y, shape (m,).
         gap: g, shape (m,).
+        sizes: By what the equations are divided, likewise.
         by_x: Derivative of g by the owned unknowns x, shape (owned, m).
+        slopes: Derivative of the forces by y (N per unit of y), shape (owned, m).
         columns: dx/dy along which forces stay in balance, shape (owned, m).
         system: Derivative of g by y along these columns, shape (m, m).
     """
 
     value: Array
     gap: Array
+    sizes: Array
     by_x: Array
+    slopes: Array
     columns: Array
     system: Array
 
@@ -73,23 +89,39 @@ class _BorderAt:
     def of(cls, border: Border, operator: Operator, x: Array, tangent: TapedTangent) -> _BorderAt:
         """The equations at the unknowns x, with the tangent there. Collective."""
         gap, by_x, by_y = border.gap(x)
+        slopes = border.slopes(x)
         columns = np.column_stack(
-            [tangent.solve(operator, -column, ACCURATE) for column in border.slopes(x).T]
+            [tangent.solve(operator, -column, ACCURATE) for column in slopes.T]
         )
         comm = operator.here.unknowns.comm
         system = comm.allreduce(by_x.T @ columns, op=MPI.SUM) + by_y
-        return cls(border.value.copy(), gap, by_x, columns, system)
+        return cls(border.value.copy(), gap, border.sizes.copy(), by_x, slopes, columns, system)
 
-    def change(self, gap: Array, b: Array, comm: MPI.Intracomm) -> Array:
+    def rest(self, border: Border, x: Array) -> Array:
+        """What the equations of a run that follows have more than those here. Collective.
+
+        They are divided by the sizes here: near free flight the sizes change with the state.
+
+        Args:
+            border: The equations of that run.
+            x: Its owned unknowns, shape (owned,).
+        """
+        gap = border.gap(x)[0]
+        return gap * (border.sizes / self.sizes) - self.gap
+
+    def change(self, rest: Array, b: Array, comm: MPI.Intracomm) -> tuple[Array, Array]:
         """Change of y by a change of the equations. Collective.
 
         Args:
-            gap: The changed g, shape (m,).
+            rest: See `rest`, shape (m,).
             b: Change of x with y unchanged, shape (owned,).
             comm: The ranks.
+
+        Returns:
+            The change, and the sizes of the equations' changes, shapes (m,).
         """
         more = comm.allreduce(self.by_x.T @ b, op=MPI.SUM)
-        return np.linalg.solve(self.system, -(gap - self.gap + more))
+        return np.linalg.solve(self.system, -(rest + more)), np.abs(rest) + np.abs(more)
 
 
 class Tape:
@@ -257,7 +289,7 @@ class RecordedBordered(Bordered):
 
 
 class FollowingBordered(Bordered):
-    """One Newton iteration with additional equations from each solution of a tape."""
+    """Newton iterations with additional equations from each solution of a tape."""
 
     reader: Reader
 
@@ -275,16 +307,52 @@ class FollowingBordered(Bordered):
             border.predict(self.newton, operator)
         border.move(at.value - border.value)
         operator.update_external()
-        rest = stage.force - operator.residual(known.x).values
-        b = stage.tangent.solve(operator, rest)
-        change = at.change(border.gap(known.x)[0], b, operator.here.unknowns.comm)
-        x = known.x + b + at.columns @ change
-        border.move(change)
-        operator.update_external()
+        x = self._corrected(operator, stage, stage.tangent, at)
         operator.move(x)
         operator.update_contact()
         self.reader.compare(stage, operator)
         return Outcome(None, x, known.iterations, list(known.residuals))
+
+    def _corrected(
+        self, operator: Operator, stage: TapedStep, tangent: TapedTangent, at: _BorderAt
+    ) -> Array:
+        """The owned unknowns of the run, shape (owned,); also sets y. Collective.
+
+        Further iterations correct what an inexact tangent leaves, see `TapedTangent.follow`. The
+        second run of a pair takes as many as the first one.
+        """
+        border, reader, comm = self.border, self.reader, operator.here.unknowns.comm
+        x, known = stage.outcome.x.copy(), tangent.corrections.get(reader.pair)
+        count, former, first, settled = 0, np.inf, (0.0, np.zeros(at.gap.size)), True
+        while known is None or count <= known[0]:
+            residual = operator.residual(x)
+            force, rest = stage.force - residual.values, at.rest(border, x)
+            if count and known is None:
+                noise = NOISE * ROUNDING * residual.reference
+                left = _share(max(tangent.norm(force) - noise, 0.0), first[0])
+                left = max(left, _share(np.abs(rest).max(), first[1].max()))
+                if left <= max(_LEFT, reader.even):
+                    break
+                if not left <= CONTRACTS * former or count == MOST:
+                    settled = left <= _TOLD
+                    break
+                former = left
+            b = tangent.solve(operator, force)
+            change, sizes = at.change(rest, b, comm)
+            if not count:
+                first = max(tangent.norm(force), tangent.norm(at.slopes @ change)), sizes
+            x = x + b + at.columns @ change
+            border.move(change)
+            operator.update_external()
+            count += 1
+        tangent.corrections.setdefault(reader.pair, (count - 1, settled))
+        reader.settled &= settled if known is None else known[1]
+        return x
+
+
+def _share(part: float, whole: float) -> float:
+    """A part of a whole; none of nothing."""
+    return part / whole if whole else 0.0
 
 
 def _like(kind: type[Kind], solver: Any, **more: Any) -> Kind:

@@ -24,7 +24,7 @@ from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["ACCURATE", "SpareSolver", "TapedTangent"]
+__all__ = ["ACCURATE", "CONTRACTS", "MOST", "NOISE", "ROUNDING", "SpareSolver", "TapedTangent"]
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +41,7 @@ _MULTIGRID, _LEVELS = ("mg", "gamg"), 1e-6
 _FIRST, _SLOW = 1e-5, 1e-2
 # What may remain after solutions with the tangent at the solution, as a multiple of what they leave
 # and of rounding; the largest share at which another solution with it helps, and how many may
-_ABOVE, _NOISE, _CONTRACTS, _MOST = 3.5, 30.0, 0.7, 30
+_ABOVE, NOISE, CONTRACTS, MOST = 3.5, 30.0, 0.7, 30
 
 
 @dataclass
@@ -84,6 +84,8 @@ class TapedTangent:
 
     Attributes:
         exact: Whether it is the tangent at the solution.
+        corrections: Pair of runs → number of corrections of its first run, and whether they were
+            enough.
 
     Raises:
         ConvergenceError: No method can solve with the tangent.
@@ -98,8 +100,7 @@ class TapedTangent:
         self._complete, self._comm = readers >= factors_pay, linear.comm
         self._known = [x, *spare.take_changes(operator.here.unknowns)]
         self._products: list[Array] = []
-        # pair of runs → number of corrections of its first run, and whether they were enough
-        self._corrections: dict[object, tuple[int, bool]] = {}
+        self.corrections: dict[object, tuple[int, bool]] = {}
         method = linear.method
         few = method is not None and readers < (factors_pay if method.incomplete else _MANY)
         self.exact = not (lend and few and linear.has_tangent)
@@ -204,7 +205,7 @@ class TapedTangent:
         """
         residual = operator.residual(x)
         rest, least = residual.values - kept, ROUNDING * residual.reference
-        if self._norm(rest) <= least:
+        if self.norm(rest) <= least:
             return x, True
         found, settled = self._follow(operator, x, kept, rest, least, pair, even)
         if not self._linear.direct:
@@ -224,13 +225,13 @@ class TapedTangent:
             rest: What the out-of-balance force at x has more than that of the solution (N).
             least: Norm of it that counts as rounding (N).
         """
-        first = self._norm(rest)
+        first = self.norm(rest)
         if self.exact:
             x = x - self._solve(operator, rest, self._left)
-            known = self._corrections.get(pair)
+            known = self.corrections.get(pair)
             if known is not None:
                 return self._again(operator, x, kept, *known)
-            bound = max(max(_ABOVE * self._left, even) * first, _NOISE * least)
+            bound = max(max(_ABOVE * self._left, even) * first, NOISE * least)
             return self._settle(operator, x, kept, (first, bound, least), pair)
         if self._linear is self._lender and self._lender.version != self._version:
             self._assemble(operator)
@@ -238,7 +239,7 @@ class TapedTangent:
         bound = max(DIGITS * first, least)
         for _ in range(3):
             rest = operator.residual(x).values - kept
-            norm = self._norm(rest)
+            norm = self.norm(rest)
             if norm <= bound:
                 return x, True
             share = norm / former
@@ -251,11 +252,11 @@ class TapedTangent:
                 return x, True
         else:
             rest = operator.residual(x).values - kept
-            norm = self._norm(rest)
+            norm = self.norm(rest)
             if norm <= bound:
                 return x, True
         x = x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
-        bound = max(_ABOVE * DIGITS * first, _NOISE * least)
+        bound = max(_ABOVE * DIGITS * first, NOISE * least)
         return self._settle(operator, x, kept, (norm, bound, least), None, own=True)
 
     def _settle(
@@ -280,13 +281,13 @@ class TapedTangent:
         count, settled = 0, True
         while True:
             rest = operator.residual(x).values - kept
-            norm = self._norm(rest)
+            norm = self.norm(rest)
             if norm <= bound:
                 break
             share = norm / former
-            if not share <= _CONTRACTS or count == _MOST:
+            if not share <= CONTRACTS or count == MOST:
                 if own or not np.isfinite(norm):
-                    settled = norm <= _NOISE**2 * least
+                    settled = norm <= NOISE**2 * least
                     break
                 # a run on the other side of a kink has another tangent
                 own, share = True, 0.5
@@ -297,7 +298,7 @@ class TapedTangent:
             if share * norm <= 0.3 * bound:
                 break
         if pair is not None:
-            self._corrections[pair] = count, settled
+            self.corrections[pair] = count, settled
         return x, settled
 
     def _again(
@@ -314,7 +315,8 @@ class TapedTangent:
             x = x - self._solve(operator, operator.residual(x).values - kept, 0.1 * DIGITS)
         return x, settled
 
-    def _norm(self, values: Array) -> float:
+    def norm(self, values: Array) -> float:
+        """Norm of the owned values of all ranks, shape (owned,). Collective."""
         return float(np.sqrt(self._comm.allreduce(float(values @ values), op=MPI.SUM)))
 
 

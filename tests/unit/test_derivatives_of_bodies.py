@@ -1,0 +1,46 @@
+"""Derivatives of runs with free rigid bodies and footings."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import dolfinmpm as mpm
+from dolfinmpm import study
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
+from derivative_scenes import errors_of, grid_of, motion_of
+
+IMPACT = {"vx": 0.5, "gap": 0.005}
+
+
+def impact(m, steps=4, dt=0.004):
+    """A free rigid disc falls on an elastic block, which it meets in the second step."""
+    grid = grid_of((3.0, 2.0), (12, 8))
+    points = mpm.fill(grid, mpm.Box((0.8, 0.3), (2.2, 0.9)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    ball = mpm.RigidBody(
+        mpm.Disc((1.4, 1.2 + m["gap"]), 0.3), mass=100.0, inertia=4.5,
+        velocity=(m["vx"], -1.0), name="ball",
+    )  # fmt: skip
+    F = mpm.momentum(mpm.materials.Hencky(2e6, 0.3), points, u, v)
+    F += mpm.contact(ball, points, u, v, penalty=5.0)
+    problem = mpm.Newmark(F, u, points, [], stabilisation="ghost", tolerance=1e-10)
+    moves = [partial(problem.step, dt * (k + 1)) for k in range(steps)]
+    measured = {"position": lambda: ball.position, "motion": motion_of(points)}
+    return study.Run(problem, moves, measured)
+
+
+def test_a_body_in_free_flight_whose_inertia_is_a_sum_of_rounding():
+    for options in ({}, {"epsilon": 1e-5}, {"scales": {"vx": 20.0}}):
+        found = study.differentiate(lambda m: impact(IMPACT | m), {"vx": 0.5}, **options)
+        assert not found.notes
+        errors = errors_of(lambda m: impact(IMPACT | m), {"vx": 0.5}, found)
+        assert max(errors.values()) < 1e-5
+        # before the contact the disc moves with its first velocity
+        at = found.derivatives["position"]["vx"][0] / found.scales["vx"]
+        np.testing.assert_allclose(at, [0.004, 0.0], atol=1e-9)
