@@ -32,6 +32,9 @@ CENTRAL, ONE_SIDED = 1e-6, 8e-8
 # Ratio of the second perturbation of an estimate to the first one, and the estimated error from
 # which a derivative is doubtful
 _SECOND, _DOUBTFUL = 8.0, 1e-3
+# Least perturbation as a share of the parameter: the rounding of figures, 1e-16 of them or more,
+# is then at most 1e-4 of their derivatives by ln m
+_LEAST = 1e-12
 
 
 @dataclass
@@ -127,9 +130,11 @@ def differentiate(
         Figures and derivatives after each step.
 
     Raises:
-        ParameterError: A parameter or a size is no number, or a size is zero; the scene returns no
-            `Run`, or has taken steps already, and does not say that their state is given; or the
-            checkpoints belong to other parameters.
+        ParameterError: A parameter or a size is no number, or a size is zero; ε Δm is below
+            1e-12 of the parameter, so that rounding of the figures would be larger; the scene
+            returns no `Run`, or has taken steps already, and does not say that their state is
+            given; figures or the number of steps change; or the checkpoints belong to other
+            parameters.
         CheckpointError: A checkpoint is damaged, or cannot be written.
 
     The settlement of a column under its weight falls as Young's modulus rises:
@@ -179,11 +184,13 @@ def differentiate(
     first = (CENTRAL if both else ONE_SIDED) if epsilon is None else epsilon
 
     def pair(name: str, epsilon: float) -> FollowingRuns:
+        change = _change(name, parameters[name], sizes[name], epsilon)
+
         def make(sign: int) -> FollowedRun:
-            moved = parameters[name] + sign * epsilon * sizes[name]
+            moved = parameters[name] + sign * change
             return FollowedRun(scene, {**parameters, name: moved}, quiet=True)
 
-        return FollowingRuns(make, name, epsilon, both, tape)
+        return FollowingRuns(make, name, change / sizes[name], both, tape)
 
     sets = [
         [pair(name, times * first) for name in sizes]
@@ -204,8 +211,7 @@ def differentiate(
         {k: np.array(values) for k, values in figures.items()},
         {k: {m: np.array(v) for m, v in by.items()} for k, by in found[0].items()},
         [text for pair in sets[0] for text in pair.told()]
-        + [f"{m}: two perturbations differ by {e:.1%}, so that the derivative may not exist"
-           for m, e in errors.items() if e > _DOUBTFUL],
+        + [_doubt(m, e) for m, e in errors.items() if e > _DOUBTFUL],
         errors, seconds,
     )  # fmt: skip
 
@@ -239,6 +245,11 @@ def _followed(
             break
         marks, middle = base.marks.end(), base.measure()
         for k, value in middle.items():
+            if figures[k] and value.shape != figures[k][0].shape:
+                raise ParameterError(
+                    f"measured['{k}'] has the shape {value.shape} after step {base.taken}, and "
+                    f"{figures[k][0].shape} after the first one: let it be the same in all steps"
+                )
             figures[k].append(value)
         for pairs, derivatives in zip(sets, found):
             for one in pairs:
@@ -248,17 +259,49 @@ def _followed(
             saved.write(figures, found)
     if base.taken == 1:
         raise ParameterError("the scene takes no step: derivatives are those of a run")
+    for pairs in sets:
+        for one in pairs:
+            one.finish()
     return figures, found
 
 
+def _change(name: str, value: float, size: float, epsilon: float) -> float:
+    """The change ε Δm of a parameter as its values have it, with all digits.
+
+    Raises:
+        ParameterError: It is below 1e-12 of the parameter, so that few digits of the figures'
+            differences would be left.
+    """
+    change, least = epsilon * size, _LEAST * abs(value)
+    if abs(change) < least:
+        raise ParameterError(
+            f"{name} = {value:g}: its change by epsilon times its size, {epsilon:g} · {size:g} = "
+            f"{change:g}, is lost in rounding; it must be at least {_LEAST:g} of the parameter, "
+            f"{least:g}: give a larger size, scales={{'{name}': ...}}, or a larger epsilon"
+        )
+    return (value + change) - value
+
+
 def _difference(name: str, one: _Found, two: _Found) -> float:
-    """Largest difference of two derivatives by a parameter, relative to the largest value."""
+    """Largest difference of two derivatives by a parameter, relative to the largest value.
+
+    It is infinite where a derivative is not a number.
+    """
     found = [0.0]
     for k, by in one.items():
         a, b = np.array(by[name]), np.array(two[k][name])
+        if not (np.isfinite(a).all() and np.isfinite(b).all()):
+            return float("inf")
         size = np.abs(a).max(initial=0.0)
         found.append(float(np.abs(a - b).max(initial=0.0) / size) if size else 0.0)
     return max(found)
+
+
+def _doubt(name: str, error: float) -> str:
+    """Note about an estimated error."""
+    if np.isinf(error):
+        return f"{name}: derivatives are not finite, because figures are not"
+    return f"{name}: two perturbations differ by {error:.1%}, so that the derivative may not exist"
 
 
 def sizes_of(parameters: Mapping[str, float], scales: Mapping[str, float]) -> dict[str, float]:

@@ -88,6 +88,10 @@ class FollowedRun:
         self.taken += 1
         return item is not self
 
+    def has_more(self) -> bool:
+        """Whether there is another step."""
+        return next(self._steps, self) is not self
+
     def measure(self) -> dict[str, Array]:
         """The figures in the present state. Collective."""
         return {
@@ -186,9 +190,31 @@ class FollowingRuns:
                 "the same for all parameters"
             )
         found = differences(base.comm, marks, member.marks.end())
-        reasons = [*reader.off, *(f"{n} {what}" for what, n in found.items())]
-        # beside a kink, the tangent of the run at m is not that of this run
-        return reasons if reasons or reader.settled else [_UNSETTLED]
+        return [*reader.off, *(f"{n} {what}" for what, n in found.items())]
+
+    def finish(self) -> None:
+        """Raise ParameterError if a run has more steps than the run at m."""
+        if any(member.has_more() for member in self.members):
+            raise ParameterError(
+                f"the scene takes more steps at another {self.name}: let the number of steps be "
+                "the same for all parameters"
+            )
+
+    def _measured(self, member: FollowedRun, middle: Mapping[str, Array]) -> dict[str, Array]:
+        """The figures of a run, which are those of the run at m. Collective."""
+        found = member.measure()
+        if found.keys() != middle.keys():
+            raise ParameterError(
+                f"measured has {', '.join(middle)}, and {', '.join(found)} at another {self.name}: "
+                "let the figures be the same for all parameters"
+            )
+        for name, value in found.items():
+            if value.shape != middle[name].shape:
+                raise ParameterError(
+                    f"measured['{name}'] has the shape {middle[name].shape}, and {value.shape} at "
+                    f"another {self.name}: let it be the same for all parameters"
+                )
+        return found
 
     def _differences(
         self, base: FollowedRun, leaves: Sequence[Sequence[str]], middle: Mapping[str, Array]
@@ -196,13 +222,10 @@ class FollowingRuns:
         """Differences of the figures over ε, one-sided where one run has left. Collective."""
         for reason in {reason for reasons in leaves for reason in reasons}:
             self.notes.setdefault(reason, []).append(base.taken)
-        plus, *others = (member.measure() for member in self.members)
-        for name, value in plus.items():
-            if value.shape != middle[name].shape:
-                raise ParameterError(
-                    f"measured['{name}'] has the shape {middle[name].shape}, and {value.shape} at "
-                    f"another {self.name}: let it be the same for all parameters"
-                )
+        # beside a kink, the tangent of the run at m is not that of another run
+        if not any(leaves) and not all(reader.settled for reader in self.readers):
+            self.notes.setdefault(_UNSETTLED, []).append(base.taken)
+        plus, *others = (self._measured(member, middle) for member in self.members)
         if not others:
             return {k: np.asarray((plus[k] - middle[k]) / self.epsilon) for k in plus}
         minus, left = others[0], [bool(reasons) for reasons in leaves]

@@ -21,6 +21,9 @@ __all__ = ["LimitState", "Reliability", "limit_state", "reliability"]
 
 Array = npt.NDArray[np.float64]
 
+# Least size of a parameter's changes in derivatives, as a share of its value
+_LEAST = 0.01
+
 
 class LimitState:
     """A figure of an example after its last step, as function of the parameters, with gradient.
@@ -98,7 +101,9 @@ class LimitState:
         known = self._known.get(x.tobytes())
         if known is None or known[1] is None:
             m = self._named(x)
-            found = differentiate(self._built, m, scales=self._sizes, central=False)
+            # a small deviation of a large value would be lost in its rounding
+            scales = {k: max(abs(size), _LEAST * abs(m[k])) for k, size in self._sizes.items()}
+            found = differentiate(self._built, m, scales=scales, central=False)
             self._keep(x, *call_together(self._comm, lambda: self._last(found)))
             self.runs[0] += 1
         slopes = self._known[x.tobytes()][1]
@@ -109,7 +114,7 @@ class LimitState:
         """The figure after the last step, and its derivatives, shape (p,), per unit of each."""
         m, by = found.parameters, found.derivatives[self._limit]
         value = last_number(self._limit, found.figures[self._limit][-1], m)
-        slopes = np.array([by[k][-1].item() / self._sizes[k] for k in self.names])
+        slopes = np.array([by[k][-1].item() / found.scales[k] for k in self.names])
         for name, slope in zip(self.names, slopes):
             if not np.isfinite(slope):
                 raise ParameterError(

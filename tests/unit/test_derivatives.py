@@ -212,6 +212,67 @@ def test_bad_scenes():
     with pytest.raises(ParameterError, match="fewer steps at another E"):
         study.differentiate(shorter, {"E": 100.0})
 
+    def longer(m):
+        return swing(
+            {"E": m["E"], "density": 1.0, "velocity": 0.1}, steps=1 if m["E"] == 100.0 else 2
+        )
+
+    with pytest.raises(ParameterError, match="more steps at another E"):
+        study.differentiate(longer, {"E": 100.0})
+
+
+def with_figure(m, figure, steps=2):
+    """Two short steps with figures of the parameters and of the number of the step."""
+    run = swing({"E": 100.0, "density": 1.0, "velocity": 0.1}, steps=steps)
+    measured = {
+        name: functools.partial(lambda get: get(m, len(run.problem.history)), get)
+        for name, get in figure(m).items()
+    }
+    return study.Run(run.problem, run.steps, measured)
+
+
+def test_figures_that_change():
+    def growing(m):
+        return with_figure(m, lambda m: {"y": lambda m, k: np.zeros(k)})
+
+    with pytest.raises(ParameterError, match=r"shape \(2,\) after step 2, and \(1,\) after"):
+        study.differentiate(growing, {"a": 1.0})
+
+    def renamed(m):
+        return with_figure(m, lambda m: {"y" if m["a"] == 1.0 else "z": lambda m, k: 1.0})
+
+    with pytest.raises(ParameterError, match="measured has y, and z at another a"):
+        study.differentiate(renamed, {"a": 1.0})
+
+
+def test_figures_that_are_no_numbers_have_no_estimated_error():
+    def rooted(m):
+        return with_figure(m, lambda m: {"y": lambda m, k: np.sqrt(1.0 - m["a"])})
+
+    with np.errstate(invalid="ignore"):
+        found = study.differentiate(rooted, {"a": 1.0}, estimate=True)
+    assert found.errors == {"a": np.inf}
+    assert "derivatives are not finite" in found.notes[-1]
+
+
+def test_perturbations_are_those_that_numbers_have():
+    def far(m):
+        return with_figure(m, lambda m: {"y": lambda m, k: k * (m["a"] - 1e6)})
+
+    # of 1e6, only changes by multiples of 1e-10 have a number
+    for size in (1.0, 13.0, 1e6):
+        found = study.differentiate(far, {"a": 1e6}, scales={"a": size}, epsilon=2e-6)
+        np.testing.assert_allclose(found.derivatives["y"]["a"], [size, 2 * size], rtol=1e-12)
+    for size, least in ((1e-12, "1e-06"), (0.4, "1e-06")):
+        with pytest.raises(ParameterError, match=f"lost in rounding; it must be .*{least}"):
+            study.differentiate(far, {"a": 1e6}, scales={"a": size}, epsilon=2e-6)
+
+    def linear(m):
+        return with_figure(m, lambda m: {"margin": lambda m, k: 3e6 - 2.0 * m["a"]}, steps=1)
+
+    g = study.limit_state(linear, "margin", {"a": 1e-6})
+    np.testing.assert_allclose(g.gradient([1e6]), [-2.0], rtol=1e-6)
+
 
 @pytest.mark.parametrize(
     ("change", "message"),
