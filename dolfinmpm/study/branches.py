@@ -4,7 +4,8 @@ A derivative follows from runs at m + ε Δm, or m ± ε Δm, that take the same
 active, the same points yield, touch and slip. If one run leaves the way of the run at m, the other
 run and the run at m give a one-sided difference. The run that left is then set to the mirror image
 of the other one, s(−) = 2 s − s(+), and goes on from there. A second run that does not exist yet
-begins in this step, from the mirror image of the first run.
+begins in this step, from the mirror image of the first run. Contacts that just touch may have no
+mirror image. Then differences stay one-sided until they have one.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from dolfinmpm.kinematics.walls import Wall
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
-__all__ = ["Events", "Marks", "RunState", "mirror", "points_of"]
+__all__ = ["Events", "Marks", "RunState", "has_mirror", "mirror", "points_of"]
 
 Array = npt.NDArray[Any]
 # words for what happens → for each set of points, or problem, sorted sets of numbers of its points
@@ -33,6 +34,8 @@ Events = dict[str, list[list[Array]]]
 
 _YIELD = "points start or stop to yield"
 _CROSS = "points cross a cell"
+# endings of names of fields whose sign tells whether a contact is closed
+_NOT_NEGATIVE = ("_normal_force", "_stiffness")
 _WALL = "markers of walls begin or end to touch or slip"
 
 
@@ -161,9 +164,11 @@ class RunState:
         points: Fields of each set of points and markers by name, and the partition of the grid.
         kept: Other values that go from step to step, by name, for each problem.
         shares: Share of the next step at which a problem begins its substeps.
+        comm: Communicator of the points.
     """
 
     def __init__(self, problems: Sequence[Problem]):
+        self.comm = problems[0].comm
         self.points = [
             ({name: p.fields.read(name).copy() for name in p.fields}, p.partition)
             for p in points_of(problems)
@@ -175,6 +180,25 @@ class RunState:
 def _keeping(problem: Problem) -> list[tuple[str, HasState]]:
     """What has a state, without the solver."""
     return [(name, one) for name, one in problem.keeping() if name != "solver"]
+
+
+def has_mirror(base: RunState, good: RunState) -> bool:
+    """Whether the mirror image of a run has the contacts of a third run. Collective.
+
+    A contact that just touches may have a negative force in the mirror image. A law of contact
+    would take it as open.
+
+    Args:
+        base: The run in the middle.
+        good: The run that is mirrored.
+    """
+    able = True
+    for (a, _), (b, _) in zip(base.points, good.points):
+        for name in a:
+            if name.endswith(_NOT_NEGATIVE) and name in b and a[name].shape == b[name].shape:
+                closed, image = a[name] > 0.0, _mirrored(a[name], b[name]) > 0.0
+                able &= np.array_equal(closed, b[name] > 0.0) and np.array_equal(closed, image)
+    return bool(base.comm.allreduce(able, op=MPI.LAND))
 
 
 def mirror(base: RunState, good: RunState, bad: Sequence[Problem]) -> bool:

@@ -92,6 +92,7 @@ class Savepoints:
             "made_by": self._made_by,
             "taken": taken,
             "members": [[len(pair.members) for pair in pairs] for pairs in self._sets],
+            "out": [[pair.out for pair in pairs] for pairs in self._sets],
             "notes": [[pair.notes for pair in pairs] for pairs in self._sets],
             "figures": _plain(figures),
             "derivatives": _plain(found),
@@ -130,10 +131,11 @@ class Savepoints:
                 f"restart = '{self._folder}' has {taken} steps, and this run takes {steps}: give a "
                 "folder of its own, or remove the old one"
             )
-        for pairs, members, notes in zip(self._sets, index["members"], index["notes"]):
-            for pair, number, known in zip(pairs, members, notes):
+        kept = zip(self._sets, index["members"], index["out"], index["notes"])
+        for pairs, members, out, notes in kept:
+            for pair, number, one, known in zip(pairs, members, out, notes):
                 pair.notes = {what: list(at) for what, at in known.items()}
-                pair.go_on(number, taken)
+                pair.go_on(number, taken, one)
         self._base.leave_out(taken)
         for problem, path in self._archives(taken):
             problem.load(path)

@@ -14,7 +14,7 @@ from dolfinmpm._platform.argumentchecks import check_kind, coordinates
 from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.study.branches import Events, Marks, RunState, differences, mirror
+from dolfinmpm.study.branches import Events, Marks, RunState, differences, has_mirror, mirror
 from dolfinmpm.study.scenerun import Run, Scene
 from dolfinmpm.study.tape import Reader, Tape, follow
 
@@ -122,6 +122,8 @@ class FollowingRuns:
         self._even = min(_CURVED * epsilon, _EVEN) if both else 0.0
         self.members: list[FollowedRun] = []
         self.readers: list[Reader] = []
+        # number of the run that could not be set to the mirror image of the other one
+        self.out: int | None = None
         for sign in (1, -1)[: 1 + both]:
             self._add(sign)
         # what was met → numbers of the steps
@@ -137,8 +139,9 @@ class FollowingRuns:
         self.members.append(member)
         self.readers.append(reader)
 
-    def go_on(self, members: int, steps: int) -> None:
+    def go_on(self, members: int, steps: int, out: int | None) -> None:
         """Have as many runs as a checkpoint, and leave out the steps before it."""
+        self.out = out
         if members > len(self.members):
             self._add(-1)
         for member in self.members:
@@ -174,7 +177,7 @@ class FollowingRuns:
         if own is not None and before is not None and leaves[0]:
             self._add(-1)
             self.members[1].leave_out(base.taken - 1)
-            mirror(before, own, self.members[1].problems)
+            self._mirror(before, own, 1)
             leaves.append(self._follow(base, 1, marks))
         derivatives = self._differences(base, leaves, middle)
         self.seconds += time.perf_counter() - started
@@ -220,7 +223,8 @@ class FollowingRuns:
         self, base: FollowedRun, leaves: Sequence[Sequence[str]], middle: Mapping[str, Array]
     ) -> dict[str, Array]:
         """Differences of the figures over ε, one-sided where one run has left. Collective."""
-        for reason in {reason for reasons in leaves for reason in reasons}:
+        told = [reasons for k, reasons in enumerate(leaves) if k != self.out]
+        for reason in {reason for reasons in told for reason in reasons}:
             self.notes.setdefault(reason, []).append(base.taken)
         # beside a kink, the tangent of the run at m is not that of another run
         if not any(leaves) and not all(reader.settled for reader in self.readers):
@@ -229,11 +233,29 @@ class FollowingRuns:
         if not others:
             return {k: np.asarray((plus[k] - middle[k]) / self.epsilon) for k in plus}
         minus, left = others[0], [bool(reasons) for reasons in leaves]
+        if self.out is not None:
+            left = [k == self.out for k in (0, 1)]
         if left[0] == left[1]:
             return {k: np.asarray((plus[k] - minus[k]) / (2 * self.epsilon)) for k in plus}
-        good, bad = (self.members[k].problems for k in (left.index(False), left.index(True)))
-        sign = -1.0 if left[0] else 1.0
-        side = minus if left[0] else plus
-        if not mirror(RunState(base.problems), RunState(good), bad):
+        good, bad = left.index(False), left.index(True)
+        sign, side = (-1.0, minus) if left[0] else (1.0, plus)
+        if not self._mirror(RunState(base.problems), RunState(self.members[good].problems), bad):
             self.notes.setdefault("points are on other ranks", []).append(base.taken)
         return {k: np.asarray(sign * (side[k] - middle[k]) / self.epsilon) for k in side}
+
+    def _mirror(self, base: RunState, good: RunState, bad: int) -> bool:
+        """Set a run to the mirror image of the other one, if there is any. Collective.
+
+        Else it gets the state of the run at m, and counts as one that has left the way.
+
+        Args:
+            base: State of the run at m.
+            good: State of the other run.
+            bad: Number of the run that is set.
+
+        Returns:
+            Whether its state could be set; see `mirror`.
+        """
+        able = has_mirror(base, good)
+        self.out = None if able else bad
+        return mirror(base, good if able else base, self.members[bad].problems)

@@ -12,7 +12,7 @@ import dolfinmpm as mpm
 from dolfinmpm import study
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
-from derivative_scenes import errors_of, grid_of, motion_of
+from derivative_scenes import errors_of, grid_of, history_of, motion_of
 
 IMPACT = {"vx": 0.5, "gap": 0.005}
 
@@ -44,3 +44,29 @@ def test_a_body_in_free_flight_whose_inertia_is_a_sum_of_rounding():
         # before the contact the disc moves with its first velocity
         at = found.derivatives["position"]["vx"][0] / found.scales["vx"]
         np.testing.assert_allclose(at, [0.004, 0.0], atol=1e-9)
+
+
+def test_a_contact_that_just_touches_has_no_mirror_image():
+    """At larger gaps the disc does not touch in the second step."""
+
+    def scene(m):
+        return impact(IMPACT | m, steps=5)
+
+    def touches(gap):
+        run = scene({"gap": gap})
+        for step in run.steps[:2]:
+            step()
+        return bool((run.problem.points["contact1_normal_force"] > 0.0).any())
+
+    low, high = 0.006, 0.007
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if touches(middle) else (low, middle)
+    h = 1e-6
+    at, near = (history_of(scene, {"gap": gap})["position"][:, 1] for gap in (low, low - h))
+    for options in ({}, {"central": True}):
+        found = study.differentiate(scene, {"gap": low}, scales={"gap": 0.01}, **options)
+        assert len(found.notes) == 1
+        assert "gap, step 2: 2 contact points begin or end to touch" in found.notes[0]
+        derivative = found.derivatives["position"]["gap"][:, 1] / 0.01
+        np.testing.assert_allclose(derivative, (at - near) / h, atol=2e-3)
