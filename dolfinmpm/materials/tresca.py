@@ -34,8 +34,8 @@ class Tresca(Law):
     edges, with the consistent tangent, after de Souza Neto, Perić & Owen, Computational Methods
     for Plasticity (2008), section 8.1. (The book's α is the sum of the multipliers.)
 
-    The tangent is symmetric where strength is constant. At an edge of the yield surface, α is not the
-    sum of the multipliers, so that a changing strength makes the tangent unsymmetric.
+    The tangent is symmetric where strength is constant. At an edge of the yield surface, α is not
+    the sum of the multipliers, so that a changing strength makes the tangent unsymmetric.
 
     Strength must fall slowly, so that a strain has one stress: c must not fall faster than 3/2 μ
     by α.
@@ -88,8 +88,10 @@ class Tresca(Law):
         )
         # the strain α by which strength changes is not the multiplier of an edge
         first, last = self.values["cohesion"], self.values["ultimate_cohesion"]
-        varying = callable(first) or callable(last)
-        self.symmetric = first is last if varying else np.array_equal(first, last)
+        if callable(first) or callable(last):
+            self.symmetric = first is last
+        else:
+            self.symmetric = np.array_equal(first, last)
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where a strain has more than one stress."""

@@ -51,6 +51,8 @@ class PathBorder:
     # error of the length: it only selects the next state, and has no physical meaning
     tolerance = 1e-6
     unmet = "the length of the step was not met"
+    # the length by which the equation is divided does not change in a step
+    sizes: Array = np.ones(1)
 
     def __init__(
         self,
@@ -64,8 +66,6 @@ class PathBorder:
         self.length: float | None = None
         self.last_change: float | None = None
         self.first = 0.0
-        # the length by which the equation is divided does not change in a step
-        self.sizes = np.ones(1)
         self.factor = load.value
         self.travelled = 0.0
         self.speed = math.inf

@@ -323,7 +323,8 @@ class FollowingBordered(Bordered):
         """
         border, reader, comm = self.border, self.reader, operator.here.unknowns.comm
         x, known = stage.outcome.x.copy(), tangent.corrections.get(reader.pair)
-        count, former, first, settled = 0, np.inf, (0.0, np.zeros(at.gap.size)), True
+        count, former, settled = 0, np.inf, True
+        first: tuple[float, Array] = 0.0, np.zeros(at.gap.size)
         while known is None or count <= known[0]:
             residual = operator.residual(x)
             force, rest = stage.force - residual.values, at.rest(border, x)
