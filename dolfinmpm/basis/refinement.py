@@ -183,6 +183,10 @@ class Refinement:
         """Let cells that are split now stay split unless clearly larger ones are wanted."""
         self._held = self.leaves
 
+    def regrid(self) -> None:
+        """Forget all leaves: the grid's lines have moved, and leaves keep those of their time."""
+        self._held, self.leaves, self._bases = None, None, {}
+
     def state(self) -> dict[str, Any]:
         """The leaves held, as lowest lines and sizes, and `levels`; the same on all ranks."""
         if self._held is None:
@@ -191,7 +195,7 @@ class Refinement:
 
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`, also one of other `levels`."""
-        self._held, self.leaves, self._bases = None, None, {}
+        self.regrid()
         if "low" in values:
             low, size = (np.asarray(values[name], np.int32) for name in ("low", "size"))
             more = self.levels - int(values.get("levels", self.levels))

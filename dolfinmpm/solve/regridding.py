@@ -10,6 +10,7 @@ from dolfinmpm._platform.argumentchecks import check_kind
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.refinement import refinements_on
 from dolfinmpm.grid.graded import set_lines
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.solve.problem import Problem
@@ -70,6 +71,9 @@ def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
         assert isinstance(space.basis, LatticeBasis)
         space.basis.regrid(lattice)
         space.__dict__.pop("_extractions", None)
+    # with the same numbers, the old leaves would be taken for the new ones
+    for refinement in refinements_on(points.grid):
+        refinement.regrid()
     problem.regrid()
     points.locate()
     for of in form.boundaries:

@@ -177,6 +177,39 @@ def test_other_problems_on_the_grid_tell_that_its_lines_have_gone(kind):
     problem.step()
 
 
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_leaves_are_those_of_the_new_lines(basis):
+    """The same cells are split before and after; their lines are others."""
+
+    def zoned(low):
+        return [mpm.zoned_line(0, 6, (low, low + 1), (4, 4, 5)), range(5)]
+
+    found = []
+    for again in (False, True):
+        grid = mpm.create_lattice(COMM, zoned(2))
+        points = mpm.fill(grid, mpm.Box((0, 0), (6, 2.3)), per_cell=6, density=1e3)
+
+        def loaded(grid=grid, points=points):
+            options = {"refine": lambda x: np.where(x[1] > 1.4, 0.25, 9.0), "levels": 2}
+            V = mpm.Space(grid, basis, per_cell=None, **options)
+            u, v = V.increment, V.test
+            F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, u, v)
+            F -= ufl.inner(points.density * fem.Constant(grid, (0.5, -2.0)), v) * points.dX
+            bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+            return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-12)
+
+        problem = loaded()
+        problem.step()
+        mpm.regrid(problem, zoned(3))
+        problem = loaded() if again else problem
+        problem.step()
+        leaves = problem.form.spaces[0].refinement.leaves
+        low = leaves.tree.corners(leaves.node)[0][leaves.size == 4, 0]
+        assert np.isin(np.round(low, 9), np.round(zoned(3)[0], 9)).all()
+        found.append(points["x"].copy())
+    np.testing.assert_allclose(*found, atol=1e-12)
+
+
 def test_what_cannot_be_laid_anew():
     grid = mpm.create_lattice(COMM, lines(1.0))
     problem, _ = problem_on(grid, evenly(grid), "gimp", "ghost")
