@@ -20,6 +20,7 @@ from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Ste
 from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import concatenated, selected, spread
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.tags import check_body_left
 from dolfinmpm.cut.activation import (
     Activation,
     ActiveBoundary,
@@ -262,13 +263,15 @@ class _Builder:
         self._where = where
 
     def _draft(self, number: int, field: Field, basis: Basis) -> _Draft:
-        """A field with its points and markers."""
+        """A field with its points and markers. Collective."""
         space = field.space
         chosen = None if space.tags is None else np.isin(self._points["tag"], space.tags)
         has_markers = {
             of.boundary.markers.number: space.tags is None or of.sees(space.increment)
             for of in self._terms
         }
+        own = [of.boundary for of in self._terms if has_markers[of.boundary.markers.number]]
+        check_body_left(self._points, space.tags, own)
         return _Draft(field, number, chosen, has_markers, basis)
 
     def _in_active_cells(self, sets: dict[int, ActiveBoundary]) -> dict[int, ActiveBoundary]:

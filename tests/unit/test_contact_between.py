@@ -149,6 +149,19 @@ def test_multipliers_bound_the_penetration():
     assert deepest[1] < 1.2 * 2e-4
 
 
+def test_a_boundary_without_its_body_is_named():
+    """A removed body; the problem goes on when it is back."""
+    problem = pressed()
+    problem.step()
+    points = problem.points
+    points.remove(tag=2)
+    with pytest.raises(ParameterError, match=r"no point has the tags 2 .*Boundary '.*' follows"):
+        problem.step()
+    box = mpm.Box((0.4, 1.3), (2.5, 3.0))
+    points.add(mpm.fill(points.grid, box, 3, 1.0, tag=2, aligned="body"))
+    assert problem.step().halvings == 0
+
+
 def test_a_step_beyond_a_cell_is_halved():
     problem = pressed(0.0)
     problem.bcs[-1].value.value = 0.8
