@@ -313,7 +313,9 @@ class GeneralSteps(ExplicitBase):
         if faces is not None:
             free = V_end.copy()
             faces.rub(V_end, self.kinks)
-            self._work.losses["friction"] += mass.lost(free, V_end)
+            # what conditions hold is not moved by friction
+            V_end[fixed] = free[fixed]
+            self._work.losses["friction"] += mass.taken(V, free, V_end)
         V_end[fixed] = held[fixed]
         return V_end
 
@@ -336,9 +338,6 @@ class GeneralSteps(ExplicitBase):
         else:
             # as in the fused loop
             damped = at_side = sides.by_nodes(V_end)
-            if not waves:
-                self._work.losses["damping"] += mass.lost(V_end, damped)
-                return damped
         came, lost = sides.works(at_side)
         self._work.external += came
         self._work.losses["damping"] += lost

@@ -51,7 +51,7 @@ def move_nodes(
     _, mass, force, second = columns
     d = fixed.shape[1]
     marks, rubbing, dashpots = faces
-    ends, forces, resisting = np.empty(d), np.empty(d), np.zeros(d)
+    ends, free, forces, resisting = np.empty(d), np.empty(d), np.empty(d), np.zeros(d)
     work = grid = damped = rubbed = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
@@ -68,15 +68,18 @@ def move_nodes(
                 ends[i] = before[k, i] if fixed[k, i] else y + kick * f * per_mass / scaling
             if dashpots.shape[0] > 0 and m > 0.0:
                 for i in range(d):
-                    damped += half * ends[i] ** 2
-                    ends[i] /= 1.0 + kick * dashpots[k, i] / (m * scaling)
-                    damped -= half * ends[i] ** 2
+                    if not fixed[k, i]:
+                        ends[i] /= 1.0 + kick * dashpots[k, i] / (m * scaling)
+                        if own[k]:
+                            damped += kick * dashpots[k, i] * ends[i] ** 2
             if marks.shape[0] > 0 and marks[k] != 0:
                 for i in range(d):
-                    rubbed += half * ends[i] ** 2
+                    free[i] = ends[i]
                 _rub(marks[k], rubbing, ends)
                 for i in range(d):
-                    rubbed -= half * ends[i] ** 2
+                    if not fixed[k, i]:
+                        # the impulse works on the mean velocity, see `Mass.taken`
+                        rubbed += half * (free[i] - ends[i]) * (out[k, i] * per_mass + ends[i])
             for i in range(d):
                 y, f, end = out[k, i] * per_mass, forces[i], ends[i]
                 change = kick * f * per_mass / scaling

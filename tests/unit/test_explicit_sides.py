@@ -95,6 +95,46 @@ def test_a_block_slides_on_a_frictional_face(mu):
     assert moved == pytest.approx(3.0 * 0.8 - 0.5 * mu * 10.0 * 0.64, rel=0.01)
 
 
+@pytest.mark.parametrize("fused", [False, True])
+def test_friction_takes_the_work_of_its_force(fused):
+    """On a stiff block μ N times the way; the weight on the side takes nothing."""
+
+    def rubbed(mu):
+        grid = mpm.create_lattice(COMM, [np.linspace(0, 4, 17)] * 2)
+        points = mpm.fill(grid, mpm.Box((0.5, 0), (1.5, 0.5)), 2, 1000.0)
+        V = mpm.Space(grid, "gimp")
+        F = mpm.momentum(mpm.materials.Hencky(1e6, 0.0), points, V.increment, V.test)
+        F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), V.test) * points.dX
+        sides = mpm.frictional(V, "bottom", friction=mu)
+        points.add_field("velocity", (2,), "m/s", (1.5, 0.0))
+        options = {"fused": fused, "mapping": "flip", "scheme": "usl"}
+        problem = mpm.Explicit(F, V.increment, points, sides, **options)
+        problem.step(0.3)
+        found = problem.energies()
+        assert abs(found["integrator"]) < 0.02 * found.initial
+        return found["friction"], (points["x"] - points["x0"])[:, 0].mean()
+
+    work, way = rubbed(0.3)
+    assert work == pytest.approx(0.3 * 5000.0 * way, rel=0.02)
+    assert rubbed(0.0)[0] == pytest.approx(0.0, abs=2.0)
+
+
+def test_a_side_counts_the_energy_that_it_absorbs():
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 2, 41), np.linspace(0, 0.1, 3)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 0.1)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.0), points, V.increment, V.test)
+    law = {"density": 1000.0, "p_speed": np.sqrt(1e3), "s_speed": 20.0}
+    sides = [*mpm.absorbing(V, "right", **law), *mpm.rollers(V, "bottom"), *mpm.rollers(V, "top")]
+    x = points["x"][:, 0]
+    problem = mpm.Explicit(F, V.increment, points, sides, fused=True, mapping="flip")
+    points["velocity"] = np.outer(0.1 * np.sin(np.pi * np.maximum(x - 1, 0)) ** 2, (1.0, 0.0))
+    problem.step(0.06)
+    found = problem.energies()
+    assert found["damping"] == pytest.approx(0.5 * found.initial, rel=0.02)
+    assert abs(found["integrator"]) < 0.01 * found.initial
+
+
 def test_friction_is_of_explicit_steps():
     with pytest.raises(errors.ParameterError, match="frictional face at 'left'"):
         bar(kind=mpm.Newmark, bcs=lambda V: mpm.frictional(V, "left", friction=0.1))
