@@ -11,6 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import Tags
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
@@ -135,9 +136,8 @@ def add_work_of_nodes(
     stored = share * mass.inner(u, here.blocks_of("changes", one.k), u - expected)
     losses["ghost stiffness"] += share * mass.inner(u, plain, u) + stored
     if faces is not None and faces.dashpots is not None:
-        owned = here.unknowns.fields[one.k].owned_nodes
         mean = 0.5 * (motion.V + motion.V_end)
-        done = float(np.sum((faces.dashpots * mean * u)[owned]))
+        done = _sum_where_free(faces.dashpots * mean * u, here, one.k)
         losses["damping"] += mass.comm.allreduce(done, op=MPI.SUM)
     return stored
 
@@ -157,7 +157,21 @@ def work_of_waves(
         one, motion: The nodes, and their motion.
         operator: The step's equations, at their solution.
     """
-    owned = operator.here.unknowns.fields[one.k].owned_nodes
     mean = 0.5 * (waves.forces(times[0]) + waves.forces(times[1]))
     assert motion.u is not None
-    return one.mass.comm.allreduce(float(np.sum((mean * motion.u)[owned])), op=MPI.SUM)
+    done = _sum_where_free(mean * motion.u, operator.here, one.k)
+    return one.mass.comm.allreduce(done, op=MPI.SUM)
+
+
+def _sum_where_free(values: Array, here: Activation, k: int) -> float:
+    """Sum over this rank's nodes of a field, without components that conditions hold.
+
+    No side acts on what a condition holds.
+
+    Args:
+        values: Shape (nodes, d).
+        here: The activation.
+        k: Number of the field.
+    """
+    own = here.unknowns.fields[k]
+    return float(np.sum(np.where(own.fixed, 0.0, values)[own.owned_nodes]))

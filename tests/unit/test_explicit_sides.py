@@ -135,6 +135,22 @@ def test_a_side_counts_the_energy_that_it_absorbs():
     assert abs(found["integrator"]) < 0.01 * found.initial
 
 
+@pytest.mark.parametrize("kind", [mpm.Newmark, mpm.GeneralisedAlpha])
+def test_dashpots_take_nothing_where_a_side_moves(kind):
+    """A side moves along an absorbing side: the dashpot of the corner does not act."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 1, 5)] * 2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(1e5, 0.0), points, V.increment, V.test)
+    sides = mpm.moving(V, "left", 0, velocity=lambda t: 0.1 * t)
+    sides += mpm.absorbing(V, "bottom", density=1000.0, p_speed=10.0, s_speed=7.0)
+    problem = kind(F, V.increment, points, sides)
+    for t in (0.1, 0.2, 0.3, 0.4):
+        problem.step(t)
+    found = problem.energies()
+    assert abs(found["integrator"]) < 0.01 * found.external
+
+
 def test_friction_is_of_explicit_steps():
     with pytest.raises(errors.ParameterError, match="frictional face at 'left'"):
         bar(kind=mpm.Newmark, bcs=lambda V: mpm.frictional(V, "left", friction=0.1))
