@@ -52,7 +52,7 @@ class PathBorder:
     tolerance = 1e-6
     unmet = "the length of the step was not met"
     # the length by which the equation is divided does not change in a step
-    sizes: Array = np.ones(1)
+    sizes = np.asarray([1.0])
 
     def __init__(
         self,
