@@ -102,7 +102,7 @@ def nodal_velocities(problem: Any) -> tuple[Any, Any]:
     field = problem.activate().fields[0]
     mass, x = Mass(problem.terms, problem.here), field.basis.node_coordinates()
     momenta = mass.nodal()
-    mapping_on(problem).to_grid(problem.points, field.stencils, x, momenta)
+    mapping_on(problem).to_grid(problem.points, field, x, momenta)
     (v,) = mass.solve(momenta, np.zeros_like(momenta.arrays[0])).arrays
     return v[field.nodes], x[field.nodes, : problem.points.gdim]
 
