@@ -50,7 +50,7 @@ vibrating_bar --duration 5
 colliding_discs --h 0.1
 stability_atlas --first 40 --stabilisation ghost,aggregation --strict
 column_collapse --h 0.04 --duration 0.1 --times 0.05
-slope_runout --h 2 --duration 0.5 --dt 0.05
+slope_runout --h 1 --duration 0.3 --dt 0.05
 explicit_speed --points 4000 --repeat 1 --bases bspline2,gimp
 explicit_stability --methods "GIMP, musl;GIMP, consistent + ghost" --cells 1 --places 3 --long 100
 """
