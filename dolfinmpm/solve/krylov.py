@@ -91,7 +91,8 @@ def _suggestions(method: Method, options: Options) -> dict[str, object]:
         # `PreconditionerReuse` decides when SNES makes a new preconditioner
         own["snes_lag_preconditioner"] = -2
     if method.ksp == "gmres":
-        # where vectors are nearly parallel, classical Gram–Schmidt without it loses convergence
+        # classical Gram–Schmidt loses orthogonality where vectors are nearly parallel, and
+        # iterations then end without a solution
         own["ksp_gmres_cgs_refinement_type"] = "refine_ifneeded"
     if pc in ("lu", "cholesky") and package is None:
         own["pc_factor_mat_solver_type"] = "mumps"
