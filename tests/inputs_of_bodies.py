@@ -67,6 +67,20 @@ INPUTS = {
     "facing(s, lambda p, b, u, v: ([b[0], b[0]], u, v))": "contact_between takes two boundaries,",
     "facing(s, lambda p, b, u, v: (b[0], u[0], v[0]))": "boundaries = a Boundary must be two, one",
     "facing(s, lambda p, b, u, v: (b, [u[0], u[0]], [v[0], v[0]]))": "u are increments of fields",
+    # -- what would do nothing, or contradicts
+    "mpm.RigidBody(TOOL, fillet=0.1)": "fillet = 0.1 would do nothing: this shape has no edges",
+    "mpm.RigidBody(TOOL, inertia=1.0)": "inertia is of a mass, and the body has none",
+    "mpm.RigidBody(TOOL, free=(False, True, False), moment=5.0)": "moment acts on components that",
+    "mpm.RigidBody(TOOL, free=(False, True, True), force=(1.0, 0.0))": "force acts on components",
+    "s.solver(form=s.F + touch(s, mpm.RigidBody(TOOL, force=lambda x, t: (0, 1)))).step()":
+        "force = a function must be a function of the time (s) alone",
+    "touch(s, slip_stiffness=3.0)": "slip_stiffness = 3.0 would do nothing: it is of friction",
+    "touch(s, penalty=3.0, stiffness_per_area=1e6)": "penalty = 3.0 would do nothing",
+    "wall(s, slip_penalty=3.0)": "slip_penalty = 3.0 would do nothing: it is of friction",
+    "mpm.RigidFooting(s.top, s.c, E=1.0, stiffness=1.0)": "E and stiffness are both given",
+    "mpm.Space(s.grid, per_cell=3)": "per_cell = 3 would do nothing: it is of leaves",
+    "explicit(s, bcs=mpm.frictional(s.V, 'left', friction=0.3) + absorbing(s))":
+        "the absorbing face at 'left' is there beside the frictional one",
     # -- boundaries, surfaces, footings
     "mpm.Boundary(s.points, [(1, 1)], [(0, 1), (0, 1)])": "x has 1 rows and area 2; give",
     "mpm.Boundary(s.points, [(1, 1)], [(0, 0)])": "the area of the marker at [1. 1.] m is zero;",

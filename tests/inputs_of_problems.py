@@ -193,6 +193,12 @@ INPUTS = {
     "materials.Parameter(3)": "unit = 3 must be a word, such as 'Pa'",
     'materials.Parameter("Pa", low="a")': "low = 'a' must be a number",
     'materials.Parameter("Pa", low=nan)': "low = nan must be a number",
+    "cam_clay(M=25.0)": "CamClay: M = 25.0 must be in (0.0, 3.0)",
+    "materials.DruckerPrager(1e4, 0.3, 0.0, 0.0)": "DruckerPrager: without friction the cohesion",
+    "materials.HardinDrnevich(1e7, 0.3, reference_strain=1e-4, friction_angle=30.0)":
+        "friction_angle = 30.0 would do nothing: there is no bound of strength: give cohesion=",
+    "materials.HardinDrnevich(1e7, 0.3, reference_strain=1e-4, reference_pressure=5e4)":
+        "reference_pressure = 50000.0 would do nothing",
     "materials.EnergyWithYield(3.0, K=1.0)": "EnergyWithYield: expected a function that returns",
     "materials.EnergyWithYield(energy)": "EnergyWithYield takes the parameters K; missing or",
     "materials.EnergyWithYield(energy, K=1.0, G=2.0)": "EnergyWithYield takes the parameters K;",

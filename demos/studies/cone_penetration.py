@@ -211,11 +211,12 @@ class Scene:
             mpm.set_stress(law, points, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
         # in units of E/h with the h of the fine cells, where others are smaller
-        penalty = args.penalty * self.finest / h
+        stiff = {"penalty": args.penalty * self.finest / h}
+        if self.wet:
+            stiff = {"stiffness_per_area": args.penalty / h * E}
         F += mpm.contact(
-            self.cone, points, u, v, penalty=penalty, friction=args.friction,
-            corners=args.corners, stiffness_per_area=args.penalty / h * E if self.wet else None,
-        )  # fmt: skip
+            self.cone, points, u, v, friction=args.friction, corners=args.corners, **stiff
+        )
         if self.flat:
             bcs += mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
         else:

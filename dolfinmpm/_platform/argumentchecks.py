@@ -19,7 +19,7 @@ from dolfinmpm._platform.errors import ParameterError
 
 __all__ = [
     "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates",
-    "file_path", "number", "shown", "truth", "whole",
+    "file_path", "number", "refuse_idle", "shown", "truth", "whole",
 ]  # fmt: skip
 
 Tags = tuple[int, ...] | None
@@ -146,6 +146,19 @@ def whole(what: str, value: Any, least: int) -> int:
     if given is None or given < least:
         raise ParameterError(f"{what} = {shown(value)} must be a whole number of at least {least}")
     return given
+
+
+def refuse_idle(what: str, given: Any, usual: Any, why: str) -> None:
+    """Raise ParameterError if an argument that would do nothing is not the usual one.
+
+    Args:
+        what: Name of the argument.
+        given: The argument, which has been checked.
+        usual: Its default.
+        why: Why it would do nothing, and what to do, as text for the message.
+    """
+    if given != usual:
+        raise ParameterError(f"{what} = {shown(given)} would do nothing: {why}")
 
 
 def per_direction(what: str, given: Any, directions: int) -> npt.NDArray[np.float64]:

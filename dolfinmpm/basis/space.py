@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.argumentchecks import as_tags, choice, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import as_tags, choice, refuse_idle, shown, truth, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
@@ -323,6 +323,8 @@ class Space:
         self.refinement = None
         if refine is not None or levels is not None:
             self.refinement = self._refined(refine, levels)
+        elif per_cell is not None:
+            refuse_idle("per_cell", per_cell, 2, "it is of leaves: give refine= and levels=")
         on_grid = _basis_of(grid, basis, averaged and basis != "linear", self.coarsen)
         self.basis: Basis = on_grid.basis
         element = (

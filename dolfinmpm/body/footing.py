@@ -112,6 +112,8 @@ class RigidFooting(ReadOnce):
                     f"stiffness {_STIFFNESS:g} E/h by default, or stiffness = ... (Pa/m)"
                 )
             stiffness = _STIFFNESS * number("E", E, 0.0, unit="Pa") / _largest_cell(points)
+        elif E is not None:
+            raise ParameterError("E and stiffness are both given; give one of them")
         self.surface, self.settlement = surface, settlement
         self.rough = truth("rough", rough)
         self.stiffness = number("stiffness", stiffness, 0.0, unit="Pa/m")

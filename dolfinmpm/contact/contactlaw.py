@@ -23,7 +23,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import number
+from dolfinmpm._platform.argumentchecks import number, refuse_idle
 from dolfinmpm._platform.units import friction_coefficient
 
 __all__ = [
@@ -68,7 +68,10 @@ class ContactLaw:
         number("penalty", self.penalty, 0.0)
         if self.stiffness is not None:
             number("stiffness_per_area", self.stiffness, 0.0, unit="Pa/m")
+            refuse_idle("penalty", self.penalty, 5.0, "stiffness_per_area is given in its place")
         number("slip_stiffness", self.slip_share, 0.0)
+        if not self.friction:
+            refuse_idle("slip_stiffness", self.slip_share, 0.5, "it is of friction: give friction=")
         if self.penetration is not None:
             number("penetration", self.penetration, 0.0, unit="m")
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.argumentchecks import coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import at_time, coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.pose import Pose
 
@@ -78,12 +78,16 @@ class FreeMotion:
                 "a body with a mass that is free to rotate needs its inertia (kg m²): give "
                 "inertia=..."
             )
+        if self.mass is None and inertia is not None:
+            raise ParameterError("inertia is of a mass, and the body has none: give mass=... (kg)")
         if gravity is not None and self.mass is None:
             raise ParameterError(
                 "gravity acts on a mass, and the body has none: give mass=... (kg), or a force"
             )
         self._gravity = _Load("gravity", gravity, gdim)
         self._force, self._moment = _Load("force", force, gdim), _Load("moment", moment, turns)
+        self._force.refuse_held(self.free)
+        self._moment.refuse_held(self.free - gdim)
         self.velocity = np.array(velocity, float)
         self.acceleration: Array | None = None
         self.increment = np.zeros(size)
@@ -159,6 +163,16 @@ class _Load:
         if isinstance(given, fem.Constant) and given.value.size != size:
             raise ParameterError(f"{name} has {given.value.size} components and must have {size}")
 
+    def refuse_held(self, free: npt.NDArray[np.intp]) -> None:
+        """Raise ParameterError if all that it acts on are components that are not free."""
+        held = np.setdiff1d(np.arange(self._size), free)
+        numbers = self.given if isinstance(self.given, np.ndarray) else np.ones(self._size)
+        if self.given is not None and numbers.any() and not np.delete(numbers, held).any():
+            raise ParameterError(
+                f"the {self._name} acts on components that are not free and would do nothing: let "
+                "the body move there by free=..., or leave it out"
+            )
+
     def value(self, t: float) -> Array:
         given = self.given
         if given is None:
@@ -166,7 +180,8 @@ class _Load:
         if isinstance(given, fem.Constant):
             return np.array(given.value, float).ravel()
         if callable(given):
-            return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(given(t))), self._size)
+            value = np.atleast_1d(np.asarray(at_time(self._name, given, t)))
+            return vector(f"{self._name}({t:g})", value, self._size)
         return np.asarray(given)
 
 

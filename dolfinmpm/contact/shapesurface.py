@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import refuse_idle, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.shapes import Ball, Box, Polygon, TurnedBox
 from dolfinmpm.contact.facetedsurface import FacetedSurface
@@ -40,6 +40,8 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
             too large.
         OSError: A file cannot be read.
     """
+    if isinstance(shape, (Plane, Ball)):
+        refuse_idle("fillet", fillet, 0.0, "this shape has no edges")
     if isinstance(shape, Plane):
         return HalfSpace(shape.point, shape.normal)
     if isinstance(shape, Ball):

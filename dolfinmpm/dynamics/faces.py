@@ -78,9 +78,9 @@ class Face:
         return "absorbing" if self.friction is None else "frictional"
 
     def same_as(self, other: Face) -> bool:
-        """Whether another face has the same kind and the same side."""
-        mine = self.kind, self.axis, self.end
-        return self.space is other.space and mine == (other.kind, other.axis, other.end)
+        """Whether another face is at the same side."""
+        mine = self.space, self.axis, self.end
+        return mine == (other.space, other.axis, other.end)
 
     def damps(self, component: int) -> bool:
         """Whether it has dashpots in a direction."""
@@ -325,17 +325,19 @@ class Sides:
 
     Raises:
         ParameterError: A condition constrains all nodes of a face in a direction of its damping.
-            Or two faces of one kind are at one side.
+            Or two faces are at one side.
     """
 
     def __init__(
         self, faces: Sequence[Face], points: MaterialPoints, conditions: Sequence[Condition] = ()
     ):
         for k, face in enumerate(faces):
-            if any(face.same_as(other) for other in faces[:k]):
+            others = {other.kind for other in faces[:k] if face.same_as(other)}
+            if others:
+                where = "twice" if face.kind in others else f"beside the {others.pop()} one"
                 raise ParameterError(
-                    f"the {face.kind} face at '{face.where}' is there twice, and would act twice: "
-                    "leave one out"
+                    f"the {face.kind} face at '{face.where}' is there {where}, and would act "
+                    "twice: leave one out"
                 )
             for condition in conditions:
                 _refuse_held(face, condition)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number, refuse_idle, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.formarguments import check_points
@@ -162,6 +162,8 @@ class Deposit:
         number("water_weight", water_weight, 0.0, closed=True, unit="N/m³")
         heights: list[Any] = [surface, *(layer.bottom for layer in layers)]
         for upper, lower in itertools.pairwise(heights):
+        if water_table is None:
+            refuse_idle("water_weight", water_weight, 9810.0, "there is no water_table")
             if not callable(upper) and not callable(lower) and not lower < upper:
                 raise ParameterError(
                     f"the layer with its bottom at {lower:g} m must end below {upper:g} m, the "

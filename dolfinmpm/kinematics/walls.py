@@ -26,7 +26,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.argumentchecks import check_kind, number, refuse_idle
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
@@ -221,6 +221,8 @@ def signorini(
         )
     mu = friction_coefficient(friction)
     number("penalty", penalty, 0.0), number("slip_penalty", slip_penalty, 0.0)
+    if not mu:
+        refuse_idle("slip_penalty", slip_penalty, 0.5, "it is of friction: give friction=")
     declaration = None
     if stiffness_per_area is not None:
         number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")

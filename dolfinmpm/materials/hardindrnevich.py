@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dolfinmpm._platform.argumentchecks import whole
+from dolfinmpm._platform.argumentchecks import refuse_idle, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.cyclickernel import PROPERTIES, cyclic_address
 from dolfinmpm.materials.druckerprager import cone_slope, cone_strength
@@ -111,6 +111,12 @@ class HardinDrnevich(UMAT):
                 "HardinDrnevich: cohesion = 0 Pa and friction_angle = 0 leave no strength: give "
                 "one of them, or no cohesion at all for a law without a bound of strength"
             )
+        if exponent == 0.0:
+            why = "stiffness does not follow the pressure: give exponent="
+            refuse_idle("reference_pressure", reference_pressure, 100e3, why)
+        if math.isinf(cohesion):
+            why = "there is no bound of strength: give cohesion=, 0 for sand"
+            refuse_idle("friction_angle", friction_angle, 0.0, why)
         levels = whole("reversals", reversals, 2)
         self.cohesion = float(cohesion)
         self.properties = self._properties().ravel()

@@ -151,7 +151,8 @@ def footing(stiffness=None, rough=True, width=6.0, basis="gimp", first=0.0, **op
     grid, points, V = block(basis, high=(6.0, 2.6), cells=(6, 4), per_cell=2)
     s = fem.Constant(grid, first)
     under = mpm.Surface(points, lambda x: np.isclose(x[1], 2.6) & (x[0] < width), (0, 1))
-    foot = mpm.RigidFooting(under, s, rough=rough, E=1e3, stiffness=stiffness)
+    soft = {"E": 1e3} if stiffness is None else {"stiffness": stiffness}
+    foot = mpm.RigidFooting(under, s, rough=rough, **soft)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     F = foot.contact(V.increment, V.test)
     return problem_of(points, V, F, bcs, **options), foot, s
