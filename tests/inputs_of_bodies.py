@@ -155,6 +155,18 @@ INPUTS = {
         "x has the shape (5, 2) and must be positions (m), one",
     'mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress("a")': "x = 'a' must be numbers,",
     'mpm.Layer("a", 18000.0, 0.5)': "bottom = 'a' must be a number (m)",
+    "mpm.Terrain(None, None)": "a terrain needs lines (x, y), or (x,) in 2D",
+    "flat().section((0, 0), (9, 0))": "start = (0, 0) and end = (9, 0) m must be within the raster",
+    "flat().section((0, 0), (2, 0), count=-3)": "count = -3 must be a whole number of at least 0",
+    "flat().from_boreholes([(0, 0)], [1.0], most='a')": "most = 'a' must be a function of",
+    "mpm.Deposit(0.0, mpm.Layer(-5.0, 18000.0, 0.5), water_weight=9000.0)":
+        "water_weight = 9000.0 would do nothing: there is no water_table",
+    "mpm.Deposit(0.0, mpm.Layer(-5.0, 18e3, 0.5), water_table=-1.0, water_weight=9.81)":
+        "water_weight = 9.81 N/m³ is less than a 20th of that of wet soil, 18000 N/m³",
+    "mpm.start_at_rest(s.solver(), mpm.Deposit(-10.0, mpm.Layer(-20.0, 18e3, 0.5)))":
+        "no point has a stress: all are above the surface of the ground",
+    "mpm.InputMotion(LINE, velocity=LINE).acceleration(nan)": "t = nan s must be finite",
+    "mpm.InputMotion(LINE, velocity=LINE)('a')": "t = 'a' must be a number (s)",
     "mpm.Layer(-5.0, -18000.0, 0.5)": "unit_weight = -18000 N/m³ must be at least 0",
     "mpm.Layer(-5.0, 18000.0, -0.5)": "K0 = -0.5 must be at least 0",
     "mpm.Layer(-5.0, 18000.0, nan)": "K0 = nan must be at least 0; nan is the result",

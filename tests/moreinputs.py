@@ -139,6 +139,24 @@ def scaled():
     return mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
 
 
+def leaky(s, k):
+    """A mixture whose permeability is a field of its points."""
+    points = s.fill()
+    return soil(s, points=points, permeability=points.add_field("k", np.shape(k), "m/s", k))
+
+
+def flat():
+    """Level ground at height 0."""
+    return mpm.Terrain([LINE, LINE], np.zeros((3, 3)))
+
+
+def curve():
+    """A history of two numbers."""
+    found = mpm.History()
+    found.record(a=1.0, b=2.0)
+    return found
+
+
 def axes():
     from matplotlib.figure import Figure
 

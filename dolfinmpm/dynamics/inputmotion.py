@@ -119,9 +119,9 @@ class InputMotion:
         lines = file.read_text(encoding="utf-8").splitlines()[skip:]
         rows = [line.replace(",", " ").replace(";", " ").split() for line in lines if line.strip()]
         try:
-            table = np.array([[float(word) for word in row[:2]] for row in rows])
-            if table.ndim != 2 or table.shape[1] != 2:
-                raise ValueError("two columns are needed")
+            if not rows or any(len(row) != 2 for row in rows):
+                raise ValueError("two columns are needed, with decimal points")
+            table = np.array([[float(word) for word in row] for row in rows])
         except ValueError as error:
             raise OSError(
                 f"{file} is no table of times and values: {error}; skip= leaves out lines "
@@ -133,6 +133,7 @@ class InputMotion:
 
     def __call__(self, t: float) -> float:
         """Velocity at time t (m/s)."""
+        t = number("t", t, unit="s")
         # a record may be corrected before it is used
         if not self._told:
             self._check()
@@ -142,12 +143,14 @@ class InputMotion:
 
     def acceleration(self, t: float) -> float:
         """Acceleration at time t (m/s²); 0 before and after the record."""
+        t = number("t", t, unit="s")
         if not self.time[0] <= t <= self.time[-1]:
             return 0.0
         return float(self._acceleration(t))
 
     def displacement(self, t: float) -> float:
         """Displacement at time t (m)."""
+        t = number("t", t, unit="s")
         if t < self.time[0]:
             return 0.0
         end = float(self.time[-1])

@@ -41,6 +41,8 @@ Height = float | Callable[[Array], npt.ArrayLike]
 _LEAST = 1e-2
 # Bound of K0: the coefficient of passive earth pressure for 50 degrees on a rough wall
 _LARGEST_K0 = 20.0
+# Wet soil of more times the weight of water is given in another unit
+_HEAVIEST = 20.0
 
 
 @dataclass(frozen=True)
@@ -160,10 +162,10 @@ class Deposit:
             if height is not None and not callable(height):
                 number(what, height, unit="m")
         number("water_weight", water_weight, 0.0, closed=True, unit="N/m³")
-        heights: list[Any] = [surface, *(layer.bottom for layer in layers)]
-        for upper, lower in itertools.pairwise(heights):
         if water_table is None:
             refuse_idle("water_weight", water_weight, 9810.0, "there is no water_table")
+        heights: list[Any] = [surface, *(layer.bottom for layer in layers)]
+        for upper, lower in itertools.pairwise(heights):
             if not callable(upper) and not callable(lower) and not lower < upper:
                 raise ParameterError(
                     f"the layer with its bottom at {lower:g} m must end below {upper:g} m, the "
@@ -172,6 +174,11 @@ class Deposit:
         self.surface, self.layers, self.water_table = surface, tuple(layers), water_table
         self.water_weight = float(water_weight) if water_table is not None else 0.0
         for layer in self.layers:
+            if _wet(layer) > _HEAVIEST * self.water_weight > 0.0:
+                raise ParameterError(
+                    f"water_weight = {water_weight:g} N/m³ is less than a {_HEAVIEST:g}th of that "
+                    f"of wet soil, {_wet(layer):g} N/m³: give both in one unit"
+                )
             if water_table is not None and _wet(layer) < self.water_weight:
                 raise ParameterError(
                     f"a layer's saturated_unit_weight = {_wet(layer):g} N/m³ is less than the "

@@ -258,7 +258,7 @@ class CamClay(PressureElastic):
     parameters = {
         "swelling": Parameter("", low=0.0),
         "compression": Parameter("", low=0.0),
-        "M": Parameter("", low=0.0),
+        "M": Parameter("", low=0.0, high=3.0),
         "mu0": Parameter("Pa", low=0.0, closed=True),
         "alpha": Parameter("", low=0.0, closed=True),
         "reference_pressure": Parameter("Pa", low=0.0),

@@ -200,6 +200,8 @@ class DruckerPrager(Law):
         """Raise ParameterError where dilation is larger than friction."""
         warn_of_radians(self, values)
         friction, dilation = values["friction_angle"], values["dilation_angle"]
+        if ((values["cohesion"] == 0.0) & (friction == 0.0)).any():
+            raise ParameterError("DruckerPrager: without friction the cohesion must be positive")
         bad = dilation > friction
         if bad.any():
             at = int(np.argmax(bad))

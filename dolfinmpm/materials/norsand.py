@@ -319,13 +319,13 @@ class NorSand(PressureElastic):
     """
 
     parameters = PRESSURE_ELASTIC | {
-        "M": Parameter("", low=0.0),
+        "M": Parameter("", low=0.0, high=3.0),
         "N": Parameter("", low=0.0, high=0.95, closed=True),
         "chi": Parameter("", low=0.0),
         "hardening": Parameter("", low=0.0),
-        "critical_void_ratio": Parameter("", low=0.0),
+        "critical_void_ratio": Parameter("", low=0.0, high=10.0),
         "critical_slope": Parameter("", low=0.0, closed=True),
-        "void_ratio": Parameter("", low=0.0),
+        "void_ratio": Parameter("", low=0.0, high=10.0),
         "image_pressure": Parameter("Pa", low=0.0),
         "extension": Parameter("", low=0.6, high=1.0, closed=True),
     }

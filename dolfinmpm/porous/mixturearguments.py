@@ -10,9 +10,9 @@ import numpy.typing as npt
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import number, shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.formarguments import check_displacement, check_increment, check_test
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.materials.base import lame
 from dolfinmpm.porous.alphalevel import Level
@@ -101,6 +101,8 @@ def permeability_of(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
                 f"permeability has shape {given.ufl_shape} and must be a scalar or of shape "
                 f"{(d, d)}"
             )
+        if isinstance(given, PointField):
+            _check_field(given, points)
         return given
     if np.ndim(given) == 0 and not isinstance(given, str):
         return own_constant(points.grid, number("permeability", given, 0.0, math.inf, "m/s", True))
@@ -114,6 +116,23 @@ def permeability_of(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
             "negative eigenvalues (m/s)"
         )
     return own_constant(points.grid, tensor)
+
+
+def _check_field(given: PointField, points: MaterialPoints) -> None:
+    """Refuse a field of permeabilities with a negative one. Collective.
+
+    Raises:
+        ParameterError: A permeability is negative or not finite.
+    """
+    k, error = given.array, None
+    k = np.linalg.eigvalsh(k)[:, 0] if k.ndim > 1 and np.isfinite(k).all() else k
+    bad = np.flatnonzero(~((k >= 0) & np.isfinite(k)).reshape(len(k), -1).all(axis=1))
+    if bad.size:
+        error = ParameterError(
+            f"permeability = {shown(given.array[bad[0]])} m/s of the point at "
+            f"{points['x'][bad[0]]} m must be finite and without negative eigenvalues"
+        )
+    raise_together(points.comm, error)
 
 
 def _of_porosity(function: Any, J: Any, n: Any) -> Any:

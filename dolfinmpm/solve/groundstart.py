@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.kinematics.deposits import Deposit
 from dolfinmpm.kinematics.lawterms import set_stress
 from dolfinmpm.solve.initialbalance import equilibrate
@@ -79,6 +79,13 @@ def start_at_rest(
     if points.comm.allreduce(moved, op=MPI.MAX) > 0.0:
         raise ParameterError("the points have been deformed: start before the first step")
     stress: Callable[[Any], Array] = ground.stress
+    x = points["x"].T
+    below = call_together(points.comm, lambda: bool(x.size and np.any(ground.stress(x))))
+    if not points.comm.allreduce(below, op=MPI.LOR):
+        raise ParameterError(
+            "no point has a stress: all are above the surface of the ground, whose heights must "
+            "be those of the grid, or its layers have no weight"
+        )
     for one in declarations:
         tags = None if one.tags is None else tuple(one.tags)
         set_stress(one.law, points, stress, strain=one.strain, tag=tags)

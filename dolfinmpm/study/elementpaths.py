@@ -24,6 +24,9 @@ COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "xz")
 _PATHS = ("isotropic", "oedometer", "triaxial", "undrained triaxial", "simple shear",
           "undrained simple shear")  # fmt: skip
 
+# Largest strain of a path; larger ones are in per cent
+_LARGEST = 3.0
+
 
 @dataclass(frozen=True)
 class Leg:
@@ -73,6 +76,11 @@ def leg(strain: Mapping[str, float | None], stress: Mapping[str, float | None], 
         for name, value in given.items():
             rows.append(_weights(name))
             targets.append(np.nan if value is None else number(str(name), value))
+            if not is_stress and abs(targets[-1]) > _LARGEST:
+                raise ParameterError(
+                    f"the strain {name} = {value:g} must be between -{_LARGEST:g} and "
+                    f"{_LARGEST:g}: strains are logarithmic, and give 10 % as 0.1"
+                )
             of_stress.append(is_stress)
     named = np.any(np.array(rows).reshape(-1, 6) != 0.0, axis=0)
     for k in np.flatnonzero(~named):
