@@ -76,6 +76,13 @@ INPUTS = {
     's.solver(form=s.F + s.momentum(strain="small"))': "two terms of the form have a law",
     "scaled()": "its coordinates have been changed since",
     's.plot("a.png", dpi=30000)': "makes a picture of more than 32768 points a side",
+    "s.solver(form=-s.F)": "the internal forces (mpm.momentum) of Hencky(E=10000, nu=0.3) are subt",
+    "s.solver(form=s.F - nan * s.v[0] * s.points.dX)": "the form has the number nan, which is not",
+    "s.solver(form=s.F - 1j * s.v[0] * s.points.dX)": "the form has the complex number 1j",
+    "s.solver(prolongation=lambda stencils, active: None).step()": "prolongation returned a matrix",
+    "s.solver(prolongation=lambda stencils, active: 1 / 0).step()":
+        "prolongation failed with ZeroDivisionError",
+    "s.solver(prolongation=lambda stencils: None).step()": "prolongation failed with TypeError",
     # -- stabilisation
     'mpm.Stabilisation("ghost", target=-1.0)': "stabilisation's target = -1 must be above 1",
     'mpm.Stabilisation("ghost", target=nan)': "stabilisation's target = nan must be above 1; nan",

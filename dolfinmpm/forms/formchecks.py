@@ -6,11 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_arguments, extract_coefficients
-from ufl.classes import Division, Product, ScalarValue
+from ufl.classes import ComplexValue, Division, Product, ScalarValue
 from ufl.core.expr import Expr
+from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.compat import restrict
@@ -18,10 +20,11 @@ from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.formsigns import MARK
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["check_fields", "check_form", "check_levels", "check_signs"]
+__all__ = ["check_fields", "check_form", "check_laws", "check_levels", "check_signs"]
 
 
 def check_form(form: Any) -> None:
@@ -32,8 +35,8 @@ def check_form(form: Any) -> None:
 
     Raises:
         FormError: The form is no UFL form; has no terms; has a footing twice; has a trial function;
-            has an unrestricted term on inner facets; adds a load; or subtracts a term that resists
-            the motion.
+            has an unrestricted term on inner facets; adds a load; subtracts a term that resists
+            the motion; or has a number that is complex or not finite.
     """
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {_not_a_form(form)}")
@@ -47,6 +50,7 @@ def check_form(form: Any) -> None:
         )
     check_signs(form)
     for integral in form.integrals():
+        _check_numbers(integral.integrand())
         if integral.integral_type() == "interior_facet":
             _check_restricted(integral)
 
@@ -139,6 +143,41 @@ def check_signs(form: ufl.Form) -> None:
                 f"{acting.name} is subtracted from the weak form; all forces are added: write "
                 "F += ..., and give a load that acts the other way a negative value"
             )
+
+
+def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
+    """Refuse internal forces of laws that are subtracted.
+
+    Args:
+        form: Weak form, as the user wrote it.
+        points: Its material points.
+
+    Raises:
+        FormError: A term of `mpm.momentum` has a negative factor.
+    """
+    for integral in form.integrals():
+        number = (integral.metadata() or {}).get("law")
+        if number not in points.declarations:
+            continue
+        declaration = points.declarations[number]
+        for part in declaration.terms:
+            if (_factor(integral.integrand(), part) or 1.0) < 0:
+                raise FormError(
+                    f"the internal forces (mpm.momentum) of {declaration.law!r} are subtracted, "
+                    "and stresses would have the wrong sign: write F = mpm.momentum(...), and "
+                    "subtract loads"
+                )
+
+
+def _check_numbers(integrand: Expr) -> None:
+    for node in unique_pre_traversal(integrand):
+        if isinstance(node, ScalarValue) and not np.isfinite(complex(node).real):
+            raise FormError(
+                f"the form has the number {node}, which is not finite; nan is the result of a "
+                "failed computation"
+            )
+        if isinstance(node, ComplexValue):
+            raise FormError(f"the form has the complex number {node}: the solver is of real ones")
 
 
 def _factor(term: Expr, part: Expr) -> float | None:

@@ -33,7 +33,7 @@ from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with
 from dolfinmpm.cut.couplings import KeptCouplings
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.stabilisations import Stabilisation
-from dolfinmpm.forms.formchecks import check_fields, check_form, check_levels
+from dolfinmpm.forms.formchecks import check_fields, check_form, check_laws, check_levels
 from dolfinmpm.forms.hoop import check_hoops
 from dolfinmpm.grid.graded import times_regridded
 from dolfinmpm.solve.adaptation import Adaptation, adapt
@@ -120,6 +120,7 @@ class Problem(ReadOnce):
         spaces = [u._dolfinmpm_space for u in increments]
         check_spaces(spaces)
         check_form(form)
+        check_laws(form, points)
         check_hoops(form, points)
         check_grid(points)
         bcs = check_conditions(bcs, spaces)
