@@ -31,6 +31,8 @@ _SIZES = {
     "l": ("half-lengths", "m", True),
     "l0": ("first half-lengths", "m", True),
 }
+# Fields of points in time that must be finite
+_MOTION = ("velocity", "acceleration")
 
 
 def require_grid(grid: Any) -> None:
@@ -147,7 +149,7 @@ def fault(points) -> DolfinMPMError | None:
     if not len(fields["x"]):
         return None
     # sums and extremes take no memory; which point is wrong is looked for only if one is
-    finite = all(np.isfinite(fields[name].sum()) for name in ("x", "x0", "F"))
+    finite = all(np.isfinite(fields[k].sum()) for k in ("x", "x0", "F", *_MOTION) if k in fields)
     possible = all(
         (fields[k].min() >= 0 if zero else fields[k].min() > 0) and fields[k].max() < np.inf
         for k, (_, _, zero) in _SIZES.items()
@@ -200,6 +202,14 @@ def _place(fields: Mapping, p: int) -> str:
 
 
 def _not_finite(fields: Mapping) -> ParameterError | None:
+    for name in _MOTION:
+        rows = fields[name] if name in fields else np.empty((0, 1))
+        bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+        if bad.size:
+            return ParameterError(
+                f"{_place(fields, bad[0])} has the {name} {rows[bad[0]]}, which must be "
+                "finite: was a field set wrongly?"
+            )
     x, F = fields["x"], fields["F"]
     good = np.isfinite(x).all(axis=1) & np.isfinite(fields["x0"]).all(axis=1)
     bad = np.flatnonzero(~(good & np.isfinite(F).all(axis=(1, 2))))

@@ -46,6 +46,10 @@ BUILT_IN = {
     "stress": "Pa",
 }
 
+# Values of `moved_under` of points whose stress follows from a strain, see
+# `dolfinmpm.kinematics.strainhistory.MARKS`
+_OF_STRAIN = (1, 2, 3, 4)
+
 
 class PointTable:
     """Fields of material points by name: their arrays on this rank, and their symbols for UFL.
@@ -252,6 +256,11 @@ class PointTable:
             raise ParameterError(
                 "'cell' cannot be set: it follows from the positions. Set points['x'], and call "
                 "points.locate()"
+            )
+        if name == "stress" and np.isin(self.fields.read("moved_under"), _OF_STRAIN).any():
+            raise ParameterError(
+                "'stress' cannot be set any more: the points have moved, and the next step "
+                "computes it from their strain. Call mpm.set_stress(law, points, stress)"
             )
         several = self.total if np.ndim(values) == 0 else len(self)
         if name == "id" and np.unique(values).size < several:

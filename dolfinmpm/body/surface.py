@@ -22,7 +22,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import coordinates, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -321,24 +321,31 @@ class Surface:
     def displacements(self) -> Array:
         """Total displacements of the faces (m), shape (points on this rank, gdim)."""
         points, R = self.points, self.points[self.offset.name]
-        moved = np.einsum("pij,pj->pi", in_section(points, points["F"]), R) - R
-        return points["x"] - points["x0"] + moved
+        now = np.einsum("pij,pj->pi", in_section(points, points["F"]), R)
+        return points["x"] - points["x0"] + (now - R)
 
     @collective
     def mean_displacement(self) -> Array:
-        """Mean displacement over the initial area (m), shape (gdim,). Collective."""
-        return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area
+        """Mean displacement over the initial area that is left (m), shape (gdim,). Collective.
+
+        Raises:
+            ParameterError: All its points have been removed.
+        """
+        A = self._sizes()
+        *total, area = self.points.comm.allreduce(np.append(A @ self.displacements(), A.sum()))
+        if not area:
+            raise ParameterError(f"no point of the surface '{self.name}' is left: make a new one")
+        return np.array(total) / area
 
 
 def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
     """Error if faces of an axisymmetric body with these centres lie on the axis, or None."""
-    radius = faces[:, 0]
-    bad = np.flatnonzero(chosen & ~(radius > 1e-9 * points["x0"][:, 0]))
+    bad = np.flatnonzero(chosen & ~(faces[:, 0] > 1e-9 * points["x0"][:, 0]))
     if not bad.size:
         return None
     p = bad[0]
     return ParameterError(
-        f"the face of point {points['id'][p]} has the radius {radius[p]:.3g} m, and it must be "
+        f"the face of point {points['id'][p]} has the radius {faces[p, 0]:.3g} m, and it must be "
         f"positive: the axis is no boundary of the body ({bad.size} such faces here); leave them "
         "out"
     )
@@ -346,10 +353,7 @@ def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | N
 
 def _axis(normal: Any, gdim: int) -> Array:
     """The normal as an array, if it is an axis with a sign."""
-    try:
-        n = np.asarray(normal, float)
-    except (TypeError, ValueError):
-        n = np.empty(0)
+    n = coordinates("normal", normal)
     if n.shape != (gdim,) or not np.array_equal(np.sort(np.abs(n)), [0.0] * (gdim - 1) + [1.0]):
         raise ParameterError(
             f"normal = {shown(normal)} must be an axis of {gdim}D with a sign, such as "

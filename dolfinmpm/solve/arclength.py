@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError, raise_together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.formchecks import check_form
@@ -266,13 +266,14 @@ class ArcLength(QuasiStatic):
             t: None; this problem has no time.
 
         Raises:
-            ParameterError: A time is given.
+            ParameterError: A time is given, or the load was set by hand.
             ConvergenceError: The step did not converge after all halvings.
             PointsOutsideGridError: Points would leave the grid.
 
         After an error the state and the load are those of the last step.
         """
         refuse_time(t, type(self).__name__)
+        raise_together(self.comm, self.path.load.fault())
         started, watch = time.perf_counter(), stages.Watch()
         self._record = record = ArcRecord()
         self._follow_leaves()

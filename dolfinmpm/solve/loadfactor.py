@@ -84,6 +84,17 @@ class LoadFactor:
         values = [", ".join(f"{value:.9g}" for value in r.flat) for r in self._reference]
         return " and ".join(f"({value})" for value in values)
 
+    def fault(self) -> ParameterError | None:
+        """An error if the constants do not hold λ times the load, or None."""
+        for k, (constant, reference) in enumerate(zip(self.constants, self._reference)):
+            if not np.array_equal(constant.value, self.value * reference):
+                return ParameterError(
+                    f"constant {k} of the load = {constant.value} was set by hand, and must be "
+                    f"{self.value * reference}: steps along the path find the load. For another "
+                    "load make a new ArcLength of the same points"
+                )
+        return None
+
     def set(self, factor: float) -> None:
         """Set λ and the constants."""
         self._factor.value = factor

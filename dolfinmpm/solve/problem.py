@@ -370,6 +370,7 @@ class Problem(ReadOnce):
                 f"kept where they were: make a new Space and a new {type(self).__name__} of its "
                 "points, or give it a grid of its own"
             )
+        check_grid(self.points)
 
     def regrid(self) -> None:
         """Discard data that depend on the old grid lines; see `regrid`."""

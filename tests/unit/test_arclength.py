@@ -278,6 +278,20 @@ def test_the_pace_does_not_crawl():
 # -- failures -----------------------------------------------------------------
 
 
+def test_a_load_that_is_set_by_hand_is_told():
+    arch = Arch()
+    P = fem.Constant(arch.grid, LOAD)
+    form, u = arch.F - P * arch.down(arch.V.test), arch.V.increment
+    problem = mpm.ArcLength(form, u, arch.points, arch.bcs, load=P, stabilisation="ghost")
+    problem.step()
+    found = float(P.value)
+    P.value = 0.5 * LOAD
+    with pytest.raises(ParameterError, match=r"constant 0 of the load = .* was set by hand"):
+        problem.step()
+    P.value = found
+    problem.step()
+
+
 def test_a_failed_step_leaves_state_and_load():
     rows, problem = Arch().path("spherical", until=0.2)
     points, constant = problem.points, problem.path.load.constants[0]

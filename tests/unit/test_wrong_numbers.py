@@ -243,3 +243,58 @@ def test_triangles_inside_out():
     mpm.Boundary.from_triangles(points, corners, triangles)
     with pytest.raises(ParameterError, match="triangles whose right-handed turn points outwards"):
         mpm.Boundary.from_triangles(points, corners, triangles[:, ::-1])
+
+
+# -- what is set between steps ---------------------------------------------------------------
+
+
+def settling():
+    points = body()
+    V = mpm.Space(points.grid, "gimp")
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    F -= ufl.inner(points.density * fem.Constant(points.grid, (0.0, -1e-3)), V.test) * points.dX
+    return points, (F, V.increment, points, mpm.fixed(V, "bottom"))
+
+
+def test_a_stress_that_follows_from_the_strain_is_not_set():
+    points, arguments = settling()
+    problem = mpm.QuasiStatic(*arguments)
+    points["stress"] = -np.eye(3)
+    points["stress"] = 0.0 * np.eye(3)
+    problem.step()
+    with pytest.raises(ParameterError, match=r"'stress' cannot be set any more.*mpm\.set_stress"):
+        points["stress"] = -np.eye(3)
+
+
+@pytest.mark.parametrize("rule", [mpm.Newmark, mpm.Explicit])
+def test_velocities_are_numbers(rule):
+    points, arguments = settling()
+    problem = rule(*arguments)
+    points["velocity"][-1] = np.nan
+    with pytest.raises(ParameterError, match=r"has the velocity \[nan nan\], which must be finite"):
+        problem.step(1e-3)
+
+
+@pytest.mark.parametrize("rule", [mpm.QuasiStatic, mpm.Explicit])
+def test_a_grid_that_is_moved_between_steps(rule):
+    points, arguments = settling()
+    problem = rule(*arguments)
+    step = problem.step if rule is mpm.QuasiStatic else lambda: problem.step(problem.time + 1e-3)
+    step()
+    points.grid.geometry.x[:, 0] += 1.0
+    with pytest.raises(ParameterError, match="coordinates have been changed since"):
+        step()
+
+
+def test_a_surface_of_which_a_part_is_removed():
+    points, arguments = settling()
+    top = mpm.Surface(points, lambda x: x[1] > 0.99, (0, 1))
+    mpm.QuasiStatic(*arguments).step()
+    points["x"][:, 1] -= np.where(points["x0"][:, 0] < 0.5, 2e-3, 1e-3)
+    before = top.displacements()[:, 1]
+    right = (points["x0"][:, 0] > 0.5) & (points["x0"][:, 1] > 0.75)
+    points.remove(lambda x: x[0] < 0.5)
+    assert top.mean_displacement()[1] == pytest.approx(before[right].mean(), rel=1e-12)
+    points.remove(lambda x: x[1] > 0.6)
+    with pytest.raises(ParameterError, match=r"no point of the surface .* is left"):
+        top.mean_displacement()
