@@ -82,6 +82,10 @@ INPUTS = {
     "explicit(s, bcs=mpm.frictional(s.V, 'left', friction=0.3) + absorbing(s))":
         "the absorbing face at 'left' is there beside the frictional one",
     # -- boundaries, surfaces, footings
+    "mpm.Boundary.from_polygon(s.points, [(2, 0), (2, 1)], closed=False, spacing=1e-12)":
+        "spacing = 1e-12 m makes 1e+12 pieces, more than 1e+07",
+    "hold(s, value=fem.Constant(s.other, (0.0, 0.0)))": "lives on another grid than the points",
+    "s.side.traction((fem.Constant(s.other, 0.0), 0.0), s.v)": "lives on another grid than the",
     "mpm.Boundary(s.points, [(1, 1)], [(0, 1), (0, 1)])": "x has 1 rows and area 2; give",
     "mpm.Boundary(s.points, [(1, 1)], [(0, 0)])": "the area of the marker at [1. 1.] m is zero;",
     "mpm.Boundary(s.points, [(1, 1)], [(0, nan)])": "area has the row [ 0. nan], which must be",
@@ -145,16 +149,12 @@ INPUTS = {
     "mpm.probe(s.points, (1, 0.5, 0))": "place = (1, 0.5, 0) must be a position (m), 2",
     "mpm.probe(s.points, (nan, 0.5))": "place = (nan, 0.5) must be a position (m), 2 finite",
     'mpm.probe(s.points, "top")': "place = 'top' must be a position (m), 2 finite",
+    "mpm.MaterialPoints.from_csv(s.grid, 'a.csv', delimiter=',,')": "delimiter = ',,' must be one",
+    "mpm.MaterialPoints.from_arrays(s.grid, [(0.5 + 1j, 0.5)], 0.1, 1.0)": "x should be numbers of",
+    "mpm.Where(up, low='ab', high=(1, 1))": "low = 'ab' must be numbers",
+    "mpm.Where(up, low=(nan, 0), high=(1, 1))": "low = (nan, 0) and high = (1, 1) must be corners",
+    "mpm.Where(up, low=0, high=1)": "low = 0 and high = 1 must be corners (m)",
     # -- ground
-    "mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5), mpm.Layer(-2.0, 18000.0, 0.5)])":
-        "the layer with its bottom at -2 m must end below -5",
-    "mpm.Deposit(0.0, [])": "layers = [] must be a list of mpm.Layer",
-    'mpm.Deposit(0.0, ["sand"])': "a layer = 'sand' must be a Layer: make it with",
-    "mpm.Deposit(nan, [mpm.Layer(-5.0, 18000.0, 0.5)])": "surface = nan m must be finite; nan is",
-    "mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress(np.zeros((5, 2)))":
-        "x has the shape (5, 2) and must be positions (m), one",
-    'mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress("a")': "x = 'a' must be numbers,",
-    'mpm.Layer("a", 18000.0, 0.5)': "bottom = 'a' must be a number (m)",
     "mpm.Terrain(None, None)": "a terrain needs lines (x, y), or (x,) in 2D",
     "flat().section((0, 0), (9, 0))": "start = (0, 0) and end = (9, 0) m must be within the raster",
     "flat().section((0, 0), (2, 0), count=-3)": "count = -3 must be a whole number of at least 0",
@@ -167,6 +167,15 @@ INPUTS = {
         "no point has a stress: all are above the surface of the ground",
     "mpm.InputMotion(LINE, velocity=LINE).acceleration(nan)": "t = nan s must be finite",
     "mpm.InputMotion(LINE, velocity=LINE)('a')": "t = 'a' must be a number (s)",
+    "mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5), mpm.Layer(-2.0, 18000.0, 0.5)])":
+        "the layer with its bottom at -2 m must end below -5",
+    "mpm.Deposit(0.0, [])": "layers = [] must be a list of mpm.Layer",
+    'mpm.Deposit(0.0, ["sand"])': "a layer = 'sand' must be a Layer: make it with",
+    "mpm.Deposit(nan, [mpm.Layer(-5.0, 18000.0, 0.5)])": "surface = nan m must be finite; nan is",
+    "mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress(np.zeros((5, 2)))":
+        "x has the shape (5, 2) and must be positions (m), one",
+    'mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress("a")': "x = 'a' must be numbers,",
+    'mpm.Layer("a", 18000.0, 0.5)': "bottom = 'a' must be a number (m)",
     "mpm.Layer(-5.0, -18000.0, 0.5)": "unit_weight = -18000 N/m³ must be at least 0",
     "mpm.Layer(-5.0, 18000.0, -0.5)": "K0 = -0.5 must be at least 0",
     "mpm.Layer(-5.0, 18000.0, nan)": "K0 = nan must be at least 0; nan is the result",

@@ -135,6 +135,9 @@ INPUTS = {
     "soil(s, porosity=1.0)": "porosity = 1 must be above 0 and below 1",
     "soil(s, porosity=40)": "porosity = 40 must be above 0 and below 1",
     "soil(s, porosity=-0.4)": "porosity = -0.4 must be above 0 and below 1",
+    "leaky(s, -1e-5)": "permeability = -1e-05 m/s of the point at [0.125 0.125] m must be finite",
+    "leaky(s, np.diag([1e-5, -1e-5]))": "must be finite and without negative eigenvalues",
+    "leaky(s, np.diag([1e-5, nan]))": "must be finite and without negative eigenvalues",
     "mpm.Fluid(-1.0)": "density = -1 kg/m³ must be above 0",
     'mpm.Fluid("water")': "density = 'water' must be a number (kg/m³)",
     "mpm.Fluid(gravity=(0, -9.81))": "gravity = (0, -9.81) must be a number (m/s²)",
@@ -142,9 +145,6 @@ INPUTS = {
     "mpm.kozeny_carman(0.4, 1e-05)": "The numbers look swapped",
     "mpm.kozeny_carman(1e-05, 1.2)": "porosity = 1.2 must be above 0 and below 1",
     "mpm.kozeny_carman(1e-05, 40)": "porosity = 40 must be above 0 and below 1",
-    "leaky(s, -1e-5)": "permeability = -1e-05 m/s of the point at [0.125 0.125] m must be finite",
-    "leaky(s, np.diag([1e-5, -1e-5]))": "must be finite and without negative eigenvalues",
-    "leaky(s, np.diag([1e-5, nan]))": "must be finite and without negative eigenvalues",
     "mpm.kozeny_carman(-1e-05, 0.4)": "k = -1e-05 m/s must be above 0",
     "mpm.kozeny_carman(nan, 0.4)": "k = nan m/s must be above 0; nan is the result",
     # -- laws
@@ -193,6 +193,12 @@ INPUTS = {
     "cam_clay(swelling=0.2)": "CamClay: reference_pressure = -10000.0 Pa must be",
     "cam_clay(M=0.0)": "CamClay: M = 0.0 must be in (0.0, 3.0)",
     "cam_clay(mu0=-1.0, alpha=0.0)": "CamClay: mu0 = -1.0 Pa must be in [0.0, inf]",
+    "cam_clay(M=25.0)": "CamClay: M = 25.0 must be in (0.0, 3.0)",
+    "materials.DruckerPrager(1e4, 0.3, 0.0, 0.0)": "DruckerPrager: without friction the cohesion",
+    "materials.HardinDrnevich(1e7, 0.3, reference_strain=1e-4, friction_angle=30.0)":
+        "friction_angle = 30.0 would do nothing: there is no bound of strength: give cohesion=",
+    "materials.HardinDrnevich(1e7, 0.3, reference_strain=1e-4, reference_pressure=5e4)":
+        "reference_pressure = 50000.0 would do nothing",
     "materials.Law(E=3.0)": "Law takes the parameters ; missing or unknown: E",
     'type("My", (materials.Law,), {})(E=3.0)': "My takes the parameters ; missing or unknown: E",
     "s.momentum(law=materials.Law())": "law = a Law has no kernel of principal strains; use",
@@ -200,12 +206,6 @@ INPUTS = {
     "materials.law_kernel(lambda x: x)": "function = a function must take six arrays,",
     "materials.law_kernel(None)": "function = None must be a function of six arrays,",
     'materials.Parameter("Pa", low=3.0, high=1.0)': "low = 3 must be below high = 1",
-    "cam_clay(M=25.0)": "CamClay: M = 25.0 must be in (0.0, 3.0)",
-    "materials.DruckerPrager(1e4, 0.3, 0.0, 0.0)": "DruckerPrager: without friction the cohesion",
-    "materials.HardinDrnevich(1e7, 0.3, reference_strain=1e-4, friction_angle=30.0)":
-        "friction_angle = 30.0 would do nothing: there is no bound of strength: give cohesion=",
-    "materials.HardinDrnevich(1e7, 0.3, reference_strain=1e-4, reference_pressure=5e4)":
-        "reference_pressure = 50000.0 would do nothing",
     "materials.Parameter(3)": "unit = 3 must be a word, such as 'Pa'",
     'materials.Parameter("Pa", low="a")': "low = 'a' must be a number",
     'materials.Parameter("Pa", low=nan)': "low = nan must be a number",
@@ -246,16 +246,18 @@ INPUTS = {
     "study.observed_orders([0.4, 0.4], [0.1, 0.2])": "sizes = [0.4, 0.4] has one twice in a row,",
     "study.observed_orders([0.4, -0.2], [0.1, 0.2])": "sizes = [0.4, -0.2] must be positive",
     'study.observed_orders("ab", [0.1, 0.2])': "sizes = 'ab' must be numbers, such as (0.0, 1.0)",
+    "study.element_test(s.law, 'oedometer', -10.0)": "the strain yy = -10 must be between -3 and 3",
+    "study.differentiate(lambda m: study.Run(s.solver(), [up], {'a': up}), {'E': 1.0}, every=0)":
+        "every = 0 must be a whole number of at least 1",
     # -- pictures, tables, times
+    "curve().plot('a.png', 'a', 'b', labels=['a'])": "labels = ['a'] must be a dictionary",
+    "curve().plot('a.png', 'a', 'b', labels={'c': 'x'})": "nothing is recorded as 'c'",
     'mpm.figure("b.png", dpi=-1).__enter__()': "dpi = -1 must be above 0",
     'mpm.figure("b.png", nrows=0).__enter__()': "figure cannot make its axes: Number of rows must",
     'mpm.figure("b.png", width="a").__enter__()': "size[0] = 'a' must be a number",
     'mpm.figure("b.png", height=nan).__enter__()': "size[1] = nan must be finite; nan is the",
     's.plot("a.png", 3)': "no field '3' to colour by; there are id, cell, tag,",
     's.plot("a.png", "stress", component=(-1, 0))':
-    "study.element_test(s.law, 'oedometer', -10.0)": "the strain yy = -10 must be between -3 and 3",
-    "study.differentiate(lambda m: study.Run(s.solver(), [up], {'a': up}), {'E': 1.0}, every=0)":
-        "every = 0 must be a whole number of at least 1",
         "component = (-1, 0) does not fit 'stress' of shape",
     "s.plot(cmap=3)": 'cmap = 3 must be one of "magma", "inferno",',
     "s.plot(bodies=s.tool)": "bodies = a RigidBody must be a list of mpm.RigidBody",

@@ -36,6 +36,8 @@ Array = npt.NDArray[np.float64]
 _INWARD = 1e-9
 # Markers nearer to the axis than this share of a cell are on the axis
 _AXIS = 1e-6
+# More pieces of a boundary take too much memory
+_MOST_PIECES = 1e7
 
 
 def revolved(points: Any, x: Array, area: Array) -> tuple[Array, Array]:
@@ -276,6 +278,12 @@ def segment_markers(grid, ends: Array, spacing: float | None, rule: int) -> tupl
     longest = np.inf if lattice is not None else smallest_height(grid) / 2
     if spacing is not None:
         longest = number("spacing", spacing, 0.0, unit="m")
+        pieces = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum() / longest
+        if pieces > _MOST_PIECES:
+            raise ParameterError(
+                f"spacing = {longest:g} m makes {pieces:.3g} pieces, more than {_MOST_PIECES:g}: "
+                "give about half the size of a cell"
+            )
     lines = () if lattice is None else lattice.lines
     return along_segments(ends, lines, longest, rule)
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.argumentchecks import truth
+from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.meshfiles import read_mesh
@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 def from_csv(grid: Mesh, path, density, tag: int, delimiter: str) -> dict[str, Any]:
     """Arguments of `MaterialPoints.from_arrays`; see `MaterialPoints.from_csv`. Collective."""
     require_grid(grid)
+    if not isinstance(delimiter, str) or len(delimiter) != 1:
+        raise ParameterError(f"delimiter = {shown(delimiter)} must be one character, such as ','")
     axes = "xyz"[: grid.geometry.dim]
 
     def read() -> dict[str, Any]:
@@ -97,6 +99,8 @@ def _arguments(
             )
     if density is not None and "density" in columns:
         raise ParameterError(f"{path} has a column 'density': leave the argument out")
+    if tag and "tag" in columns:
+        raise ParameterError(f"{path} has a column 'tag': leave the argument out")
 
     def whole(name: str) -> npt.NDArray[np.int64]:
         values = columns.pop(name)

@@ -103,6 +103,8 @@ def _outside(id, x) -> PointsOutsideGridError | None:
 def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: bool) -> Rows:
     """The arrays that this rank gives, checked."""
     try:
+        if np.iscomplexobj(x):
+            raise TypeError
         at = np.asarray(x, float)
     except (TypeError, ValueError):
         raise FieldShapeError(f"x should be numbers of shape (n, {gdim}), got {x!r}") from None

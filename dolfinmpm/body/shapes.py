@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_function, coordinates, number
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import in_radians
 
@@ -49,8 +49,16 @@ class Shape:
     ):
         check_function("contains", contains, "of positions that tells which are inside")
         self._contains = contains
-        self.low = low
-        self.high = high
+        self.low, self.high = (
+            end if end is None else coordinates(name, end)
+            for name, end in (("low", low), ("high", high))
+        )
+        ends = [end for end in (self.low, self.high) if end is not None]
+        if any(end.ndim != 1 or np.isnan(end).any() or end.shape != ends[0].shape for end in ends):
+            raise ParameterError(
+                f"low = {shown(low)} and high = {shown(high)} must be corners (m), one number per "
+                "direction"
+            )
 
     def contains(self, x: Array) -> npt.NDArray[np.bool_]:
         """Whether each position x (m), shape (n, gdim), is in the shape.

@@ -36,7 +36,7 @@ def vector_of(points: MaterialPoints, what: str, given: Any) -> Expr:
                 f"{what} '{str(given)[:100]}' has shape {given.ufl_shape} and must be a vector of "
                 f"{d} components; pressure acts along the normal"
             )
-        _check_grid(points, what, given)
+        own_grid(points, what, given)
         return given
     if not isinstance(given, (Sequence, np.ndarray)) or isinstance(given, str) or len(given) != d:
         raise ParameterError(
@@ -44,6 +44,7 @@ def vector_of(points: MaterialPoints, what: str, given: Any) -> Expr:
             "dolfinx.fem.Constant or a UFL expression"
         )
     if any(isinstance(c, Expr) for c in given):
+        own_grid(points, what, ufl.as_vector(list(given)))
         return ufl.as_vector(list(given))
     components = [number(f"{what}[{k}]", c) for k, c in enumerate(given)]
     return own_constant(points.grid, components)
@@ -66,11 +67,12 @@ def pressure_of(points: MaterialPoints, p: Any) -> Expr:
             f"pressure '{str(p)[:100]}' has shape {p.ufl_shape} and must be a scalar; a vector "
             "is a traction"
         )
-    _check_grid(points, "pressure", p)
+    own_grid(points, "pressure", p)
     return p
 
 
-def _check_grid(points: MaterialPoints, what: str, given: Expr) -> None:
+def own_grid(points: MaterialPoints, what: str, given: Expr) -> None:
+    """Raise ParameterError unless an expression lives on the grid of the points."""
     if any(domain != points.grid.ufl_domain() for domain in extract_domains(given)):
         raise ParameterError(
             f"{what} '{str(given)[:100]}' lives on another grid than the points: make it on "

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_kind,
+    coordinates,
+    number,
+    shown,
+    whole,
+)
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.heightvolumes import volume_between
 from dolfinmpm.body.rasterarrays import raster_of_array, refuse_marks, windowed
@@ -53,7 +60,8 @@ class Terrain:
     """
 
     def __init__(self, lines: Sequence[Any], heights: Any):
-        own = tuple(coordinates("lines", line) for line in lines)
+        several = lines if isinstance(lines, (Sequence, np.ndarray)) else ()
+        own = tuple(coordinates("lines", line) for line in several)
         z = coordinates("heights", heights)
         if not 1 <= len(own) <= 2 or any(line.ndim != 1 or line.size < 2 for line in own):
             raise ParameterError(
@@ -175,6 +183,7 @@ class Terrain:
             rule = RBFInterpolator(at, z, kernel="linear", degree=int(plane))
             found = rule(nodes)
         bound = self if most is None else most
+        check_function("most", bound, "of positions, such as a Terrain")
         found = np.minimum(found, bound(np.column_stack([nodes, 0 * nodes[:, :1]]).T))
         return Terrain(self.lines, found.reshape(self.heights.shape))
 
@@ -215,6 +224,14 @@ class Terrain:
                 "a section of a terrain in 3D needs two different ends (x, y), got "
                 f"{start} and {end}"
             )
+        low, high = np.array([line[[0, -1]] for line in self.lines]).T
+        slack = _SLACK * np.max(high - low)
+        if not all(np.all((low - slack <= at) & (at <= high + slack)) for at in (a, b)):
+            raise ParameterError(
+                f"start = {shown(start)} and end = {shown(end)} m must be within the raster, from "
+                f"{low} to {high} m"
+            )
+        whole("count", count, 0)
         share = np.linspace(0.0, 1.0, max(count, 1) + 1)
         if count == 0:
             for k, line in enumerate(self.lines):

@@ -38,7 +38,7 @@ from dolfinmpm.cut.couplings import KeptCouplings, lists_of, pairs_of
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.overlap import overlapping_bases
 from dolfinmpm.cut.pattern import Blocks, Pattern
-from dolfinmpm.cut.prolongation import Prolongation
+from dolfinmpm.cut.prolongation import Prolongation, own_matrix
 from dolfinmpm.cut.regions import active_boundary_regions, active_region
 from dolfinmpm.cut.unknowns import Unknowns
 
@@ -353,11 +353,10 @@ class _Builder:
             C = None
         level = None if C is None or constraining is None else constraining.level(basis.degree)
         if field.prolongate is not None:
-            from scipy import sparse
-
-            of_basis = getattr(field.prolongate, "of_basis", None)
-            made = field.prolongate(seen, nodes) if of_basis is None else of_basis(basis, nodes)
-            own = sparse.csr_matrix(made)
+            call = functools.partial(field.prolongate, seen, nodes)
+            if (of_basis := getattr(field.prolongate, "of_basis", None)) is not None:
+                call = functools.partial(of_basis, basis, nodes)
+            own = own_matrix(call, basis.nodes.size, self._points.comm)
             C = own if C is None else C @ own
         if isinstance(basis, LeafBasis) and basis.hangs.any():
             H = basis.hanging

@@ -119,10 +119,12 @@ class Film:
             time: Time (s), or share of the load; shown above the picture.
 
         Raises:
-            ParameterError: The time is not finite.
+            ParameterError: The time is not finite, or the film is closed.
             OSError: There is no room for temporary files.
         """
         points, colour = self._points, self._look.colour
+        if self._count < 0:
+            raise ParameterError(f"the film {self.path} is closed: make another one")
         call_together(self._comm, lambda: number("time", time))
         derived = colour == "displacement" and colour not in points.fields
         gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)

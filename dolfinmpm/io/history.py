@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -139,6 +140,10 @@ class History:
         ...     curve.record(t=t, load=t**2)
         >>> curve.plot(f"{tempfile.mkdtemp()}/load.png", "t", "load", labels={"t": "time (s)"})
         """
+        if not isinstance(labels or {}, Mapping):
+            raise ParameterError(f"labels = {shown(labels)} must be a dictionary, name → text")
+        for name in labels or ():
+            self[name]
         texts = {**{name: name.replace("_", " ") for name in self.names}, **(labels or {})}
         drawn = y or tuple(name for name in self.names if name != x)
         if not drawn:

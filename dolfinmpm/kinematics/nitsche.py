@@ -38,6 +38,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.surfaceloads import own_grid
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.lawterms import flux
@@ -289,6 +290,7 @@ def _value(boundary: Boundary, value: Any, shape: tuple[int, ...], name: str) ->
             raise ParameterError(
                 f"value '{str(value)[:100]}' has the shape {value.ufl_shape} and must be {what}"
             )
+        own_grid(boundary.points, "value", value)
         return value
     if callable(value):
         return boundary.markers.add_field(name, shape, "m", value)

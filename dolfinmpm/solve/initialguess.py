@@ -189,7 +189,9 @@ class InitialGuess:
                 whole = np.zeros((old.nodes.size, u.shape[1]))
                 whole[nodes] = values
                 nodes, values = _between_leaves(old, whole, basis)
-            u[nodes] = values * scales[k]
+            # a checkpoint may be of another basis
+            known = nodes < len(u)
+            u[nodes[known]] = values[known] * scales[k]
         found = operator.here.unknowns.restrict(nodal.arrays)
         moved = operator.here.unknowns.comm.allreduce(bool(found.any()), op=MPI.LOR)
         return found if moved else None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth
+from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import RunState
@@ -172,7 +172,7 @@ def differentiate(
     parameters = {name: float(value) for name, value in parameters.items()}
     if central is not None:
         truth("central", central)
-    truth("estimate", estimate)
+    truth("estimate", estimate), whole("every", every, 1)
     if epsilon is not None:
         number("epsilon", epsilon, 0.0, 0.01)
     started = time.perf_counter()

@@ -62,6 +62,13 @@ def test_a_film_has_a_frame_per_time_of_one_size(tmp_path):
     assert np.abs(colours[0] - colours[2]).max() > 100
 
 
+def test_a_closed_film_takes_no_frame(tmp_path):
+    with mpm.animate(block()[0], tmp_path / "film.gif", "density", **SMALL) as film:
+        film.write(0.0)
+    with pytest.raises(ParameterError, match=r"film\.gif is closed"):
+        film.write(1.0)
+
+
 def test_a_film_of_files_is_that_of_the_run(tmp_path):
     problem = pressed()
     stress = {"colour": "stress", "title": "{time:.0f}", "size": (3.1, 2.3), "dpi": 50}

@@ -154,6 +154,14 @@ def test_what_differs_from_the_problem_of_the_file_is_told(saved, tmp_path):
             block(**options)[0].load(path)
         assert len(told) == 1
         assert "; " not in str(told[0].message)
+    # a basis of more nodes: the first guess of the file has nodes that this one has not
+    spline, step = block(basis="bspline2")
+    step()
+    spline.save(tmp_path / "spline.npz")
+    problem, step = block()
+    with pytest.warns(errors.DifferentProblemWarning, match='"bspline2".* there, "gimp"'):
+        problem.load(tmp_path / "spline.npz")
+    step()
     points, V, F = (problem := block()[0]).points, problem.fields[0].space, problem.form.given
     for bcs, words in (
         (mpm.fixed(V, "left", "bottom"), "conditions: component 0 at 'left'.*component 0 at 'bott"),

@@ -148,6 +148,9 @@ def test_tables_that_are_not_there(tmp_path):
     path.write_text(TABLE, encoding="utf-8")
     with pytest.raises(ParameterError, match="has a column 'density'"):
         mpm.MaterialPoints.from_csv(unit_grid("triangle"), path, density=1.0)
+    path.write_text("x,y,volume,density,tag\n0.5,0.25,0.1,1.0,3\n", encoding="utf-8")
+    with pytest.raises(ParameterError, match="has a column 'tag': leave the argument out"):
+        mpm.MaterialPoints.from_csv(unit_grid("triangle"), path, tag=2)
 
 
 # -- meshes -------------------------------------------------------------------
