@@ -87,6 +87,8 @@ class ExplicitCall:
             raise_together(problem.comm, problem.points.fault())
         adapted = adapt(problem)
         self._record.split, self._record.merged = adapted.split, adapted.merged
+        if adapted.split or adapted.merged:
+            touched = touched | _KINETIC
         self._record.migrated += balance(problem.points)
         if touched & _KINETIC or not problem.ledger.started:
             problem.ledger.begin()

@@ -9,6 +9,8 @@ that are differences:
   loss by mapping from the points to the nodes and back. In explicit steps it is the kinetic energy
   that the points would have if nodes only changed their velocities, less the energy that they
   have. It is zero in "flip";
+- "merging": kinetic and elastic energy that points lose where they follow the leaves of a refined
+  space, by `Problem.adapt`;
 - "integrator": the remainder, such as damping by a rule in time or errors of quadrature.
 """
 
@@ -41,9 +43,10 @@ __all__ = ["LOSSES", "Energies", "Ledger", "MovingBody", "Work"]
 
 Array = npt.NDArray[np.float64]
 
-# Losses summed up by steps; other losses are differences
-LOSSES = ("ghost stiffness", "ghost mass", "damping", "viscosity", "friction", "collision")
-_SUMS = ("external", "internal", "grid", *LOSSES)
+# Losses summed up by steps, and by points that follow the leaves; other losses are differences
+LOSSES = (
+    "ghost stiffness", "ghost mass", "damping", "viscosity", "friction", "collision", "merging",
+)  # fmt: skip
 # First values, from which changes are measured
 _FIRST = ("kinetic", "strain", "bodies", "rubbed", "initial", "started")
 
@@ -230,6 +233,28 @@ class Ledger:
             first["initial"] += kinetic - self._last - self.work.late / self.scaling
             self.work.late = 0.0
         self._last = kinetic
+
+    def parts(self) -> Array:
+        """Kinetic and elastic energy of the points (J), before they split or merge. Collective."""
+        if self.started:
+            self.begin()
+        return np.array([self.kinetic(), self._strain()])
+
+    def merged(self, before: Array) -> None:
+        """Count the energy that splits and merges of the points have taken. Collective.
+
+        Args:
+            before: Result of `parts` before them.
+        """
+        if not self.started:
+            return
+        now = np.array([self.kinetic(), self._strain()])
+        # the elastic energy is no number where a law has none
+        kinetic, strain = np.nan_to_num(now - before)
+        self._first["kinetic"] += float(kinetic)
+        self._first["strain"] += float(strain)
+        self._last = float(now[0])
+        self.work.losses["merging"] -= float(kinetic + strain)
 
     @property
     def started(self) -> bool:

@@ -150,3 +150,37 @@ def test_a_block_that_swings_goes_on(kind, options):
     size = np.abs(swings[0]).max()
     assert size > 1e-3
     np.testing.assert_allclose(swings[1], swings[0], rtol=0, atol=0.02 * size)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [(mpm.Newmark, {}), (mpm.Explicit, {}), (mpm.Explicit, {"mapping": "tpic"})],
+)
+def test_the_energy_that_merging_takes_has_its_name(kind, options):
+    """It had been lost in "projection" and "integrator", which judges a run."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 4, 9), np.linspace(0, 4, 9)])
+    place = [0.0]
+
+    def size(x):
+        return np.where(np.abs(x[0] - place[0]) < 0.9, 0.25, 1.0)
+
+    V = mpm.Space(grid, "gimp", refine=size, levels=1)
+    points = mpm.fill(grid, mpm.Box((0, 1), (3.3, 2.2)), 2, RHO)
+    law = mpm.materials.VonMises(10 * E, 0.2, yield_stress=1e4)
+    F = mpm.momentum(law, points, V.increment, V.test)
+    problem = kind(F, V.increment, points, mpm.fixed(V, "left"), **options)
+    points["velocity"] = np.outer(2.0 * (points["x"][:, 0] / 3.3) ** 2, (0, 1))
+    for k in range(5):
+        problem.step(0.01 * (k + 1))
+    before, place[0] = problem.energies(), 3.0
+    assert problem.adapt().merged > 0
+    after = problem.energies()
+    lost = before.kinetic + before.strain - after.kinetic - after.strain
+    assert abs(lost) > 1e-4 * before.kinetic
+    assert after["merging"] - before["merging"] == pytest.approx(lost, rel=1e-9)
+    for name in ("plastic", "projection", "integrator"):
+        assert after[name] == pytest.approx(before[name], abs=1e-9 * before.kinetic)
+    assert after.initial == before.initial
+    # the next step finds no change of velocities by hand
+    problem.step(0.06)
+    assert problem.energies().initial == before.initial
