@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis import LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import concatenated, selected, spread
 from dolfinmpm.body.points import MaterialPoints
@@ -42,7 +42,7 @@ from dolfinmpm.cut.prolongation import Prolongation, own_matrix
 from dolfinmpm.cut.regions import active_boundary_regions, active_region
 from dolfinmpm.cut.unknowns import Unknowns
 
-__all__ = ["activate", "active_on_grid"]
+__all__ = ["activate"]
 
 Fixed = npt.NDArray[np.bool_]
 
@@ -116,30 +116,6 @@ def _boundaries(
     }
 
 
-def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
-    """Active nodes owned by this rank, in the numbering of the field's space.
-
-    With leaves these are the nodes of the grid's cells that contain active leaves.
-    """
-    basis, base = field.basis, field.space.basis
-    if isinstance(basis, LeafBasis):
-        assert isinstance(base, LatticeBasis)
-        cells = np.flatnonzero(field.cells)
-        roots = np.unique(basis.leaves.low[basis.leaf[cells]] >> basis.leaves.tree.levels, axis=0)
-        flags, table = np.zeros(base.nodes.size, bool), base.halo.node_table
-        for offset in np.ndindex(*(base.degree + 1,) * roots.shape[1]):
-            at = roots - base.halo.origin + np.array(offset, np.int32)
-            at = at[np.all((at >= 0) & (at < table.shape), axis=1)]
-            found = table[tuple(at.T)]
-            flags[found[found >= 0]] = True
-        return np.flatnonzero(base.nodes.share_flags(flags)[: base.nodes.owned]).astype(np.int32)
-    if basis.grid_nodes is None:
-        return field.active[field.active < basis.nodes.owned]
-    flags = np.zeros(basis.nodes.size, bool)
-    flags[field.active] = True
-    return np.flatnonzero(flags[basis.grid_nodes[: base.nodes.owned]]).astype(np.int32)
-
-
 def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], bool]) -> bool:
     """Whether the unknowns of one field with several components are stored in blocks."""
     if len(fields) > 1 or fields[0].space.components == 1:
@@ -193,6 +169,7 @@ class _Draft:
         has_markers: Whether it has the markers of each boundary, by the boundary's number.
         basis: Its basis, with the overlap for the step.
         full_stencils: Stencils of points and markers on all active nodes.
+        of_points: The same of the points alone.
         nodes: Active nodes.
         roots: Roots of ill-filled cells on meshes that are no lattices.
         entities: Ghost facets and active cells.
@@ -204,6 +181,7 @@ class _Draft:
     has_markers: dict[int, bool]
     basis: Basis
     full_stencils: Any = None
+    of_points: Any = None
     nodes: Any = None
     roots: Any = None
     entities: Any = None
@@ -301,14 +279,24 @@ class _Builder:
 
         Args:
             conditions: The essential conditions. Constrained nodes do not follow other nodes.
+                Nodes that only markers reach may be free, see `within_reach`.
             share: Share of the step's prescribed increments.
         """
         self._share("full_stencils", lambda d: d.stencils(self._where, self.boundaries))
+        own = np.arange(len(self._where.x)) < len(self._bodies.x)
+        self._share("of_points", lambda d: selected(d.full_stencils, own))
         self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis))
         self._find_roots()
         fixed, prescribed = conditions.at([d.basis for d in self._drafts], share)
+        if self.boundaries:
+            fixed = [
+                conditions.within_reach(held, d.field.space, d.basis, d.full_stencils, d.of_points)
+                for d, held in zip(self._drafts, fixed)
+            ]
         grid, moving = self._points.grid, self._moving
-        self._share("entities", lambda d: entities(grid, moving, d.full_stencils, d.basis))
+        self._share(
+            "entities", lambda d: entities(grid, moving, d.full_stencils, d.of_points, d.basis)
+        )
         active = [self._parted(self._active(d, own)) for d, own in zip(self._drafts, fixed)]
         return active, fixed, prescribed
 

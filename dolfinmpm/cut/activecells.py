@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +18,10 @@ from dolfinmpm.cut.leaffacets import ghost_facets_of_leaves
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 
-__all__ = ["GhostFacets", "active_cells", "active_nodes", "entities"]
+if TYPE_CHECKING:
+    from dolfinmpm.cut.activation import ActiveField
+
+__all__ = ["GhostFacets", "active_cells", "active_nodes", "active_on_grid", "entities"]
 
 GhostRows = npt.NDArray[np.int32]
 
@@ -83,7 +88,7 @@ class GhostFacets:
     """Interior facets between active cells of which at least one borders on an inactive cell.
 
     This is the definition of Coombs (2023, doi 10.1002/nme.7332). The outer edge of the grid makes
-    no cell a boundary cell.
+    no cell a boundary cell. A cell that only markers reach is one.
 
     Args:
         grid: Background grid.
@@ -120,27 +125,32 @@ class GhostFacets:
         per_cell = int(of_cells.offsets[1]) if of_cells.num_nodes else 1
         self._cell_facets = of_cells.array.reshape(-1, per_cell)
 
-    def select(self, active: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    def select(
+        self, active: npt.NDArray[np.bool_], empty: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.int32]:
         """The facets as rows (cell, local facet, cell, local facet) flattened. Collective.
 
         Args:
             active: Mask of the active local cells of DOLFINx's mesh.
+            empty: Mask of those without points, which are boundary cells wherever they lie.
         """
         cells = self._cells
-        boundary = np.zeros(cells.size, bool)
+        boundary = empty.copy()
         _mark_boundary(active, cells.owned, self._cell_facets, self._facet_cells, boundary)
         return self._between(active, cells.share_flags(boundary)).ravel()
 
-    def select_coarse(self, active: npt.NDArray[np.bool_], basis: LatticeBasis) -> GhostRows:
+    def select_coarse(
+        self, active: npt.NDArray[np.bool_], empty: npt.NDArray[np.bool_], basis: LatticeBasis
+    ) -> GhostRows:
         """The facets of coarse cells, in parts, in the format of `select`. Collective.
 
         Args:
-            active: Mask of the active cells of the basis.
+            active, empty: See `select`, of the cells of the basis.
             basis: A basis on coarse cells.
         """
         of = basis.grid_cells
         assert of is not None
-        boundary = _beside_inactive(active, basis)
+        boundary = _beside_inactive(active, basis) | empty
         rows = self._between(active[of], boundary[of])
         return rows[of[rows[:, 0]] != of[rows[:, 2]]].ravel()
 
@@ -176,31 +186,59 @@ def ghost_facets(grid: Mesh) -> GhostFacets:
 
 
 def entities(
-    grid: Mesh, moving: set[int], seen: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis
-) -> dict[int, npt.NDArray[np.int32]]:
+    grid: Mesh, moving: set[int], seen: Stencils, of_points: Stencils,
+    basis: LatticeBasis | LinearBasis | LeafBasis,
+) -> dict[int, npt.NDArray[np.int32]]:  # fmt: skip
     """Ghost facets and active cells of a field for integrals, by subdomain id. Collective.
 
     Args:
         grid: The grid.
         moving: Subdomain ids that occur in the terms.
-        seen: Stencils of the points on all active nodes.
+        seen: Stencils of points and markers on all active nodes.
+        of_points: The same of the points alone.
         basis: The basis of the field.
     """
     found: dict[int, npt.NDArray[np.int32]] = {}
     if not moving:
         return found
     cells = active_cells(seen, basis.cells)
+    empty = cells & ~active_cells(of_points, basis.cells)
     if isinstance(basis, LeafBasis):
         own = np.flatnonzero(cells[: basis.cells.owned]).astype(np.int32)
-        return {GHOST_FACETS: ghost_facets_of_leaves(cells, basis), ACTIVE_CELLS: own}
+        return {GHOST_FACETS: ghost_facets_of_leaves(cells, empty, basis), ACTIVE_CELLS: own}
     tables = ghost_facets(grid) if GHOST_FACETS in moving else None
     if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
-        found[GHOST_FACETS] = tables.select_coarse(cells, basis)
+        found[GHOST_FACETS] = tables.select_coarse(cells, empty, basis)
     if basis.grid_cells is not None:
-        cells = cells[basis.grid_cells]
+        cells, empty = cells[basis.grid_cells], empty[basis.grid_cells]
     if tables is not None and GHOST_FACETS not in found:
-        found[GHOST_FACETS] = tables.select(cells)
+        found[GHOST_FACETS] = tables.select(cells, empty)
     if ACTIVE_CELLS in moving:
         owned = np.flatnonzero(cells[: grid.topology.index_map(grid.topology.dim).size_local])
         found[ACTIVE_CELLS] = owned.astype(np.int32)
     return found
+
+
+def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
+    """Own nodes that points reach, in the numbering of the field's space. Collective.
+
+    With leaves these are the nodes of the grid's cells that contain leaves with points.
+    """
+    basis, base, seen = field.basis, field.space.basis, field.full_stencils
+    if isinstance(basis, LeafBasis):
+        assert isinstance(base, LatticeBasis)
+        cells = np.flatnonzero(active_cells(seen, basis.cells))
+        roots = np.unique(basis.leaves.low[basis.leaf[cells]] >> basis.leaves.tree.levels, axis=0)
+        flags, table = np.zeros(base.nodes.size, bool), base.halo.node_table
+        for offset in np.ndindex(*(base.degree + 1,) * roots.shape[1]):
+            at = roots - base.halo.origin + np.array(offset, np.int32)
+            at = at[np.all((at >= 0) & (at < table.shape), axis=1)]
+            found = table[tuple(at.T)]
+            flags[found[found >= 0]] = True
+        return np.flatnonzero(base.nodes.share_flags(flags)[: base.nodes.owned]).astype(np.int32)
+    nodes = active_nodes(seen, basis)
+    if basis.grid_nodes is None:
+        return nodes[nodes < basis.nodes.owned]
+    flags = np.zeros(basis.nodes.size, bool)
+    flags[nodes] = True
+    return np.flatnonzero(flags[basis.grid_nodes[: base.nodes.owned]]).astype(np.int32)

@@ -19,6 +19,8 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
+from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.cut.activecells import active_nodes
 from dolfinmpm.cut.leafconditions import on_leaves
 
 __all__ = ["EssentialConditions", "renumbered"]
@@ -160,6 +162,53 @@ class EssentialConditions:
             self._still = {key: values for key, values in self._still.items() if key in self._fixed}
             self._still[key] = values
         return fixed, values
+
+    def within_reach(
+        self, fixed: Flags, space: Space, basis: Basis, seen: Stencils, of_points: Stencils
+    ) -> Flags:
+        """Leave out conditions where only markers reach held nodes. Collective.
+
+        A condition holds a node that points reach, and nodes beside it. A body that does not reach
+        a side of the grid is not held there, whatever its markers reach.
+
+        Args:
+            fixed: Mask of the prescribed components, shape (nodes, components).
+            space, basis: The field, and its basis with the overlap of the step.
+            seen: Stencils of points and markers on all active nodes.
+            of_points: The same of the points alone.
+
+        Returns:
+            A mask; the same array where nothing changes.
+        """
+        numbering, reached = basis.nodes, np.zeros(basis.nodes.size, bool)
+        reached[active_nodes(of_points, basis)] = True
+        lost = np.setdiff1d(active_nodes(seen, basis), np.flatnonzero(reached))
+        if not numbering.comm.allreduce(bool(fixed[lost].any()), op=MPI.LOR):
+            return fixed
+        held = fixed.copy()
+        held[lost] = False
+        group = np.repeat(np.arange(seen.groups.size - 1), np.diff(seen.node_start))
+        for condition in self.conditions:
+            if condition.space is not space:
+                continue
+            own = self._nodes_of(condition, basis)
+            touched = np.bincount(group, (own & reached)[seen.nodes], seen.groups.size) > 0
+            beside = np.zeros(reached.size, bool)
+            beside[seen.nodes[touched[group]]] = True
+            held[:, condition.component] |= own & numbering.share_flags(beside)
+        return held
+
+    @staticmethod
+    def _nodes_of(condition: Condition, basis: Basis) -> Flags:
+        """Mask of the nodes that a condition holds, in a basis of its space. Collective."""
+        if isinstance(basis, LeafBasis):
+            flags = np.zeros(basis.nodes.size, bool)
+            flags[on_leaves(condition, basis).nodes] = True
+            return flags
+        base = condition.space.basis
+        flags = np.zeros(base.nodes.size, bool)
+        flags[condition.nodes] = True
+        return renumbered(flags, base, basis)
 
     def _apply(self, space: Space, basis: Basis, share, flags, values) -> Exception | None:
         """Set masks and values at the own nodes of this rank; returns a contradiction or None.

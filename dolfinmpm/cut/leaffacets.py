@@ -70,7 +70,7 @@ def _facets(low, size, owned, active, cell_of, search, boundary, rows):
 
 
 def ghost_facets_of_leaves(
-    active: npt.NDArray[np.bool_], basis: LeafBasis
+    active: npt.NDArray[np.bool_], empty: npt.NDArray[np.bool_], basis: LeafBasis
 ) -> npt.NDArray[np.int32]:
     """Facets between active leaves of which at least one borders on an inactive cell. Collective.
 
@@ -79,6 +79,7 @@ def ghost_facets_of_leaves(
 
     Args:
         active: Mask of the active cells of the basis.
+        empty: Mask of those without points, which are boundary cells wherever they lie.
         basis: The basis on leaves.
 
     Returns:
@@ -88,7 +89,7 @@ def ghost_facets_of_leaves(
     low, size = leaves.low[basis.leaf], leaves.size[basis.leaf]
     cell_of = basis.cells_of_nodes()
     _, _, *search = tree.search
-    boundary: npt.NDArray[np.bool_] = np.zeros(active.size, bool)
+    boundary = empty.copy()
     graph = low, size, basis.cells.owned, active, cell_of, tuple(search)
     _beside_inactive(*graph, boundary)
     boundary = basis.cells.share_flags(boundary)

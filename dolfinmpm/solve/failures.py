@@ -12,7 +12,7 @@ from dolfinmpm.basis.conditionchecks import free_motions
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.rigidbody import RigidBody
-from dolfinmpm.cut.activate import active_on_grid
+from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Failed
 

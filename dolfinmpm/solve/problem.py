@@ -28,8 +28,9 @@ from dolfinmpm.body.overlapchecks import check_room
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
-from dolfinmpm.cut.activate import activate, active_on_grid
+from dolfinmpm.cut.activate import activate
 from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with_constraints
+from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.cut.couplings import KeptCouplings
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.stabilisations import Stabilisation

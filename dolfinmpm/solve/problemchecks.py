@@ -27,8 +27,8 @@ from dolfinmpm.basis.conditionchecks import idle
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import UNSET, MaterialPoints, PointField
-from dolfinmpm.cut.activate import active_on_grid
 from dolfinmpm.cut.activation import Activation, Field, movers
+from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.grid.constants import is_own

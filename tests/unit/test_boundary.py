@@ -7,6 +7,7 @@ import pytest
 import ufl
 from conftest import unit_grid
 from dolfinx import fem
+from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import (
@@ -252,3 +253,30 @@ def test_arc_length_under_a_weak_condition():
         problem.step()
     force = problem.path.factor * -0.5 * points["V0"].sum()
     np.testing.assert_allclose(base.force(), (0.0, -force), atol=1e-5)
+
+
+@pytest.mark.parametrize("basis", ["linear", "bspline2"])
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation"])
+def test_a_side_that_only_markers_reach_holds_nothing(stabilisation, basis):
+    """The body ends beyond the cells with its points, half a metre before the side."""
+    found = []
+    for held in (False, True):
+        grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 4, 9), np.linspace(0, 4, 9)])
+        V = mpm.Space(grid, basis)
+        corners = [(0.48, 0.0), (3.0, 0.0), (3.0, 2.2), (0.48, 2.2)]
+        points = mpm.fill(grid, mpm.Polygon(corners), per_cell=2, density=1000.0)
+        u, v = V.increment, V.test
+        F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+        F += mpm.Boundary.from_polygon(points, corners).pressure(1e3, u, v)
+        bcs = mpm.fixed(V, "bottom") + (mpm.rollers(V, "left") if held else [])
+        problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
+        if held:
+            with pytest.warns(mpm.errors.IdleConditionWarning, match="left"):
+                problem.step()
+        else:
+            problem.step()
+        # markers at the bottom stay there, where the body is held
+        assert points["x"][:, 1].min() > 0.1
+        assert mpm.study.condition_number(problem.stiffness()) < 1e6
+        found.append(points["x"])
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-9)
