@@ -183,8 +183,7 @@ class Mass:
             text = (
                 f"the consistent mass is next to singular: a node has the velocity {largest:.3g} "
                 f"m/s where points have at most {fastest:.3g} m/s, and {_PROPORTION:g} times that "
-                "is what a sound mass may give; give a ghost_mass above 0, such as 0.25, or "
-                'mass="lumped", or stabilisation="aggregation"'
+                f"is what a sound mass may give; give {self._remedies()}"
             )
             if not math.isfinite(largest):
                 raise ConvergenceError(text)
@@ -192,6 +191,13 @@ class Mass:
                 self._terms.warned = True
                 warn(self.comm, text, SingularMassWarning)
         return V
+
+    def _remedies(self) -> str:
+        """What would make the mass sound, without what it has already, for messages."""
+        found = [] if self._terms.ghost else ["a ghost_mass above 0, such as 0.25"]
+        found += ['mass="lumped"']
+        found += [] if self._field.C is not None else ['stabilisation="aggregation"']
+        return ", or ".join([*found, "more points per cell"])
 
     @stages.solve
     def solve(self, right: Nodal, held: Array) -> Nodal:
@@ -256,7 +262,7 @@ class Mass:
         if ksp.getConvergedReason() <= 0:
             error = ConvergenceError(
                 f"the consistent mass is singular to rounding: CG ends after {self.iterations} "
-                'iterations; give ghost_mass=0.25, or mass="lumped", or more points per cell'
+                f"iterations; give {self._remedies()}"
             )
         raise_together(unknowns.comm, error)
         return np.array(x.getArray(readonly=True))

@@ -168,6 +168,15 @@ def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_told(rule):
     wavy(1e-6, stabilisation="aggregation", **given).step(1e-3)
 
 
+@pytest.mark.parametrize(
+    ("options", "word"), [({"ghost_mass": 0.1}, "ghost"), ({"stabilisation": "aggregation"}, "agg")]
+)
+def test_advice_on_a_singular_mass_leaves_out_what_is_set(options, word):
+    advice = mapped(block("quadrilateral", "gimp", 0.5, **options))[0]._remedies()
+    assert word not in advice
+    assert 'mass="lumped", or' in advice
+
+
 @pytest.mark.parametrize("stabilisation", ["none", "aggregation"])
 @pytest.mark.parametrize("basis", ["gimp", "bspline2"])
 def test_a_lumped_mass_smears_by_a_share_of_a_cell_and_keeps_momentum(basis, stabilisation):
