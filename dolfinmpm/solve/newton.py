@@ -174,6 +174,7 @@ class Newton:
             snes.solve(None, x)
             outcome.x[:] = x.getArray(readonly=True)
         except PETSc.Error as error:
+            outcome.iterations += max(len(balance.residuals) - 1, 0)
             outcome.reason = linear.why(error)
             if linear.relax():
                 self._attempt(operator, outcome, guess)
@@ -244,9 +245,10 @@ class Newton:
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
             if reason == Reason.ITERATING and resolved and iteration > 0:
-                change = snes.getSolutionUpdate().norm(PETSc.NormType.NORM_INFINITY)
-                balance.rounded = change <= resolved
-                return Reason.CONVERGED_SNORM_RELATIVE if balance.rounded else reason
+                others = by_field is None or _others_balanced(operator, by_field, self.tolerance)
+                balance.rounded = others and _moved(operator, snes.getSolutionUpdate()) <= resolved
+                if balance.rounded:
+                    return Reason.CONVERGED_SNORM_RELATIVE
             stuck = balance.stalls if secants is None else secants.stuck
             if balance.guessed and reason == Reason.ITERATING and stuck:
                 return Reason.DIVERGED_LINE_SEARCH
@@ -266,12 +268,12 @@ class Newton:
         """Change of the increments (m) that ends the iterations; 0 where none does. Collective.
 
         F = 1 + ∇u rounds strains, so that forces of tiny strains balance to a few digits only. The
-        change tells of it if Newton's steps are full ones, and displacements the only unknowns.
+        change tells of it if Newton's steps are full ones. Other fields, such as pressures, must
+        be in balance.
         """
-        here = operator.here
         full = bool(self.searches) and self.search == SEARCHES[0]
         newton = self.linear.snes.getType() == "newtonls"
-        if not (full and newton and len(here.movers) == len(here.fields)):
+        if not (full and newton and operator.here.movers):
             return 0.0
         low, high = bounds(operator.form.points.grid)
         return _RESOLVED * float(np.linalg.norm(high - low))
@@ -298,6 +300,31 @@ class Newton:
         square = operator.here.unknowns.comm.allreduce(float(f @ f), op=MPI.SUM)
         balance.motion, balance.predicted = math.sqrt(square), True
         return self.linear.solve(-f)
+
+
+def _moved(operator: Operator, change: PETSc.Vec) -> float:
+    """Largest change of a displacement in an iteration (m). Collective.
+
+    Args:
+        operator: The equations.
+        change: Change of the unknowns.
+    """
+    unknowns, values = operator.here.unknowns, change.getArray(readonly=True)
+    parts = [unknowns.only(k, values) for k in operator.here.movers]
+    most = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    return float(unknowns.comm.allreduce(most, op=MPI.MAX))
+
+
+def _others_balanced(operator: Operator, by_field: Array, tolerance: float) -> bool:
+    """Whether the equations of all fields but displacements are in balance.
+
+    Args:
+        operator: The equations.
+        by_field: Norms of residual and reference, shape (fields, 2).
+        tolerance: Residual over reference that may remain.
+    """
+    rest = np.delete(by_field, operator.here.movers, axis=0)
+    return bool(np.all(rest[:, 0] <= tolerance * rest[:, 1]))
 
 
 def name_of(reason: int) -> str:

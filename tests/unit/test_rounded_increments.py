@@ -54,6 +54,29 @@ def test_larger_increments_need_balance():
     assert problem.history[-1].iterations >= 3
 
 
+@pytest.mark.parametrize("load", [1e4, 1.0, 1e-4])
+def test_soil_with_water_under_a_tiny_load(load):
+    """Strains of 1e-5 to 1e-13. Pressures are in balance to all digits."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(4)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 2.5)), 2, 1800.0)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    u, v, p, q = V.increment, V.test, Q.increment, Q.test
+    top = mpm.Surface(points, lambda x: x[1] > 2.4, (0, 1))
+    clay, fluid = mpm.materials.Hencky(1e9, 0.3), mpm.Fluid(bulk_modulus=2.2e9)
+    F = mpm.poromechanics(
+        clay, points, (u, p), (v, q), permeability=1e-12, porosity=0.4, fluid=fluid
+    )
+    F += top.traction(fem.Constant(grid, (0.0, -load)), v)
+    bcs = mpm.rollers(V, "left", "right", "bottom")
+    problem = mpm.Transient(F, [u, p], points, bcs, stabilisation=["ghost", "ghost"])
+    record = problem.step(1.0)
+    assert record.iterations <= 3
+    assert record.halvings == 0
+    # soil and water share the load as their stiffnesses
+    M, water = 1e9 * 0.7 / (1.3 * 0.4), 2.2e9 / 0.4
+    assert points["pressure"] == pytest.approx(load * water / (M + water), rel=1e-3)
+
+
 def test_ground_before_the_wave_arrives():
     """Velocities of 1e-13 m/s at the start of a smooth pulse take no more iterations than later."""
     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(8), range(6)])

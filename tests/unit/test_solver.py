@@ -10,6 +10,7 @@ import ufl
 from conftest import unit_grid
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import (
@@ -20,6 +21,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.body.points import GHOST_FACETS
+from dolfinmpm.solve.newton import Newton
 
 
 def column(n=8, E=1e4, **options):
@@ -282,6 +284,33 @@ def test_an_interruption_leaves_a_problem_that_can_go_on(monkeypatch):
         assert np.array_equal(values, before[name]), name
     g.value[1] = -0.5
     assert problem.step().parts == 1
+
+
+def test_iterations_before_a_failed_factorisation_count(monkeypatch):
+    prepared, failed = Newton._prepared, []
+
+    class Failing:
+        def __init__(self, balance):
+            self.balance = balance
+
+        def solve(self, *_):
+            self.balance.residuals += [1.0, 0.1, 0.01]
+            raise PETSc.Error(71)
+
+    def once(self, operator, balance):
+        found = prepared(self, operator, balance)
+        failed.append(balance)
+        return found if len(failed) > 1 else Failing(balance)
+
+    def iterations():
+        problem, g = column()
+        g.value[1] = -0.1
+        return problem.step().iterations
+
+    count = iterations()
+    monkeypatch.setattr(Newton, "_prepared", once)
+    assert iterations() == count + 2
+    assert len(failed) == 2
 
 
 def test_a_body_moved_without_loads_converges():
