@@ -253,18 +253,24 @@ class LeafFacetBlock:
         return np.asarray(values)
 
     def state(self) -> dict[str, npt.NDArray]:
-        """The tensors kept: rounding differs between the facets that a class was integrated on."""
-        if self._values is None or not self._tensors:
+        """The tensors kept: rounding differs between the facets that a class was integrated on.
+
+        A rank without ghost facets has none, in arrays of the same shapes but for their rows.
+        """
+        if self._values is None:
             return {}
-        tensors = list(self._tensors.values())
-        none = np.full((len(self.moduli), INTERVALS + 1), np.nan)
+        tensors, d = list(self._tensors.values()), self._space.grid.geometry.dim
+        codes = [np.frombuffer(code, np.int64) for _, code in self._tensors]
+        shape = len(tensors), len(self.moduli), INTERVALS + 1
+        none = np.full(shape[1:], np.nan)
+        known = [self._penalties.get(key, none) for key in self._tensors]
         return {
             "constants": self._values,
-            "scales": np.array([scale for scale, _ in self._tensors]),
-            "codes": np.array([np.frombuffer(code, np.int64) for _, code in self._tensors]),
+            "scales": np.array([scale for scale, _ in self._tensors], float),
+            "codes": np.array(codes, np.int64).reshape(-1, 1 + 4 * d * self._space.basis.degree),
             "pairs": np.array([t.shape[-1] for t in tensors], np.int64),
-            "tensors": np.concatenate([t.ravel() for t in tensors]),
-            "penalties": np.array([self._penalties.get(key, none) for key in self._tensors]),
+            "tensors": np.concatenate([np.empty(0), *(t.ravel() for t in tensors)]),
+            "penalties": np.array(known, float).reshape(shape),
         }
 
     def set_state(self, state: dict[str, npt.NDArray]) -> None:

@@ -101,6 +101,7 @@ CASES = {
         restart.restart_triangles,
         restart.restart_splines,
         restart.restart_arch,
+        refined.restart_with_leaves_of_few_ranks,
         restart.restart_errors,
         dynamics.dynamics,
         dynamics.dynamics_lumped,

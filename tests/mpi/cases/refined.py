@@ -9,30 +9,62 @@ from dolfinx import fem
 import dolfinmpm as mpm
 
 from .common import COMM, sums
+from .restart import remove, temporary_folder
+
+
+def _small_body(basis, stabilisation):
+    """A small body on a long grid, and its step: leaves, which change, are on one rank."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 4, 9), np.linspace(0, 1, 3)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.45, 0.4)), 4, 1.0)
+    middle = [0.0]
+    V = mpm.Space(
+        grid, basis, levels=1,
+        refine=lambda x: np.where(abs(x[0] - middle[0]) < 0.3, 0.25, 0.5),
+    )  # fmt: skip
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(mpm.materials.Hencky(1e3, 0.3), points, V.increment, V.test)
+    F -= ufl.inner(points.density * g, V.test) * points.dX
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation=stabilisation,
+        tolerance=1e-12,
+    )  # fmt: skip
+
+    def step():
+        k = len(problem.history)
+        g.value[1], middle[0] = -20.0 * (k + 1), 0.25 * k
+        problem.step()
+
+    return problem, step
 
 
 def leaves_of_few_ranks():
-    """A small body on a long grid: all leaves, which change between steps, are on one rank."""
+    """Ranks without leaves take part."""
     figures = {}
     for basis in ("gimp", "bspline2"):
-        grid = mpm.create_lattice(COMM, [np.linspace(0, 4, 9), np.linspace(0, 1, 3)])
-        points = mpm.fill(grid, mpm.Box((0, 0), (0.45, 0.4)), 4, 1.0)
-        middle = [0.0]
-        V = mpm.Space(
-            grid, basis, levels=1,
-            refine=lambda x, middle=middle: np.where(abs(x[0] - middle[0]) < 0.3, 0.25, 0.5),
-        )  # fmt: skip
-        g = fem.Constant(grid, (0.0, 0.0))
-        F = mpm.momentum(mpm.materials.Hencky(1e3, 0.3), points, V.increment, V.test)
-        F -= ufl.inner(points.density * g, V.test) * points.dX
-        problem = mpm.QuasiStatic(
-            F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation="aggregation"
-        )
-        for k in range(3):
-            g.value[1], middle[0] = -20.0 * (k + 1), 0.25 * k
-            problem.step()
-        figures[basis] = sums(points, "x", "stress")
+        problem, step = _small_body(basis, "aggregation")
+        for _ in range(3):
+            step()
+        figures[basis] = sums(problem.points, "x", "stress")
     return figures
+
+
+def restart_with_leaves_of_few_ranks():
+    """Ranks without facets of leaves save and load, too."""
+    folder = temporary_folder()
+    ghost = mpm.Stabilisation("ghost", factor="adaptive")
+    problem, step = _small_body("bspline2", ghost)
+    for _ in range(2):
+        step()
+    problem.save(folder / "middle.npz")
+    again, go_on = _small_body("bspline2", ghost)
+    again.load(folder / "middle.npz")
+    for one in (step, go_on):
+        one()
+    found = [sums(one.points, "x", "stress") for one in (problem, again)]
+    for name, value in found[0].items():
+        np.testing.assert_allclose(found[1][name], value, rtol=1e-9)
+    remove(folder)
+    return found[0]
 
 
 def water_in_a_part():

@@ -54,11 +54,11 @@ def block(stabilisation="ghost", basis="gimp", body=False, **options):
     return (problem, step, b) if body else (problem, step)
 
 
-def _folder():
+def temporary_folder():
     return Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
 
 
-def _remove(folder):
+def remove(folder):
     COMM.barrier()
     if COMM.rank == 0:
         shutil.rmtree(folder)
@@ -72,7 +72,7 @@ def _bits(problem):
 
 def goes_on(build, steps, moves=True):
     """The figures of a run; one that went on in the middle has the same bits on every rank."""
-    folder = _folder()
+    folder = temporary_folder()
     problem, step = build()
     for k in range(steps):
         step()
@@ -83,7 +83,7 @@ def goes_on(build, steps, moves=True):
     while len(again.history) < steps:
         step()
     assert _bits(again) == _bits(problem)
-    _remove(folder)
+    remove(folder)
     moved = sum(record.migrated for record in problem.history)
     figures = {"moved": moved} if moves else {}
     return figures | {"steps": steps, **sums(problem.points, "x", "F", "stress")}
@@ -131,7 +131,7 @@ def _refused(action, problem):
 
 def restart_errors():
     """What rank 0 finds wrong with a file is raised on all ranks, and the state stays."""
-    folder = _folder()
+    folder = temporary_folder()
     problem, step = block()
     step()
     problem.save(folder / "a.npz")
@@ -162,5 +162,5 @@ def restart_errors():
     assert len(problem.history) == 1
     names = sorted(path.name for path in folder.iterdir())
     assert names == ["a.npz", "cut.npz", "flipped.npz"]
-    _remove(folder)
+    remove(folder)
     return {"files": len(names)}
