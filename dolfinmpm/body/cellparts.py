@@ -143,9 +143,10 @@ class LeafParts(LatticeParts):
         own = lattice.cell_ijk[: _owned(grid)]
         ends = [(line[i], line[i + 1]) for line, i in zip(lattice.lines, own.T)]
         lower, upper = (np.column_stack(side) for side in zip(*ends))
-        near = np.ones(len(own), bool)
         if low is not None and high is not None:
-            near = np.all((upper >= low) & (lower <= high), axis=1)
+            # leaves beside the box would make smaller leaves in it than the body will have
+            lower, upper = np.maximum(lower, low), np.minimum(upper, high)
+        near = np.all(upper - lower > 1e-9 * lattice.spacing, axis=1)
         x, half = 0.5 * (lower + upper)[near], 0.5 * (upper - lower)[near]
         leaves = leaves_of(grid.comm, lattice, refinement.levels, x, half, refinement.wanted)
         root = leaves.low >> leaves.tree.levels

@@ -128,6 +128,20 @@ def test_fill_by_leaves_has_the_volume_of_the_shape():
         assert points["l"][left].max() <= 0.0625 * (1 + 1e-9)
 
 
+def test_fill_by_leaves_knows_only_the_leaves_of_the_shape():
+    """Small cells above a body would have had small neighbours in it."""
+    grid, asked = lattice(2), [0.0]
+
+    def size(x):
+        asked[0] = max(asked[0], x[1].max())
+        return np.where(np.abs(x[1] - 2.5) < 0.1, 0.125, 1.0)
+
+    V = mpm.Space(grid, "gimp", refine=size, levels=3)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=1e3, refine=V)
+    assert points.total == 4 * 2 * 4
+    assert asked[0] == 2.0
+
+
 @pytest.mark.parametrize("gdim", [2, 3])
 def test_points_of_leaves_are_families_that_merge(gdim):
     """A fill of leaves is what splits of larger points would have made."""
