@@ -57,7 +57,8 @@ def adapt(problem: Problem) -> Adaptation:
     if not spaces:
         return Adaptation()
     points, number, joined, energies = problem.points, 0, 0, np.zeros(2)
-    ledger, before = getattr(problem, "ledger", None), None
+    ledger: Any = getattr(problem, "ledger", None)
+    before: Array | None = None
     levels = max(refinement.levels for refinement in _refinements(spaces))
     for _ in range(levels + 1):
         which = _sizes(points, spaces) > _SPLITS

@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, coordinates
 from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError
+from dolfinmpm.body.footing import seats
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import Events, Marks, RunState, differences, has_mirror, mirror
@@ -25,8 +26,8 @@ Array = npt.NDArray[np.float64]
 # Share of the forces that curvature leaves at the perturbation ε, as a multiple of ε, and its bound
 _CURVED, _EVEN = 10.0, 1e-5
 _UNSETTLED = (
-    "forces remain that the tangent does not remove (it may not be the derivative of the forces), "
-    "so that derivatives may be wrong"
+    "forces remain that the tangent does not remove (it may not be the derivative of the forces, "
+    "or they are rounded, as those of a stiff footing), so that derivatives may be wrong"
 )
 
 
@@ -71,7 +72,12 @@ class FollowedRun:
         cannot be left out by a run that begins later.
         """
         paths = any(isinstance(problem, ArcLength) for problem in self.problems)
-        return paths or not isinstance(self.run.steps, Sequence)
+        return paths or self.has_footing or not isinstance(self.run.steps, Sequence)
+
+    @property
+    def has_footing(self) -> bool:
+        """Whether a `RigidFooting` holds faces: its force follows from tiny gaps between places."""
+        return any(seats(problem.form.given) for problem in self.problems)
 
     def leave_out(self, steps: int) -> None:
         """Leave out the next steps."""

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -70,3 +71,29 @@ def test_a_contact_that_just_touches_has_no_mirror_image():
         assert "gap, step 2: 2 contact points begin or end to touch" in found.notes[0]
         derivative = found.derivatives["position"]["gap"][:, 1] / 0.01
         np.testing.assert_allclose(derivative, (at - near) / h, atol=2e-3)
+
+
+def test_the_load_of_a_footing_has_digits_enough():
+    """It is nearly proportional to E, beside which the footing is stiff, with gaps of 1e-8 m."""
+
+    def pressed(m):
+        grid = grid_of((6.0, 4.0), (12, 8))
+        points = mpm.fill(grid, mpm.Box((0, 0), (6, 3)), 2, 2000.0)
+        V, settlement = mpm.Space(grid, "gimp"), fem.Constant(grid, 0.0)
+        top = mpm.Surface(points, lambda x: (x[1] > 2.9) & (x[0] < 1.0), (0, 1))
+        footing = mpm.RigidFooting(top, settlement, E=1e6)
+        F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.3), points, V.increment, V.test)
+        F += footing.contact(V.increment, V.test)
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+
+        def step():
+            settlement.value = 0.002
+            problem.step()
+
+        return study.Run(problem, [step], {"load": footing.load})
+
+    found = study.differentiate(pressed, {"E": 1e6})
+    share = found.derivatives["load"]["E"] / found.figures["load"]
+    np.testing.assert_allclose(share, 1.0, rtol=0, atol=1e-3)
+    assert not found.notes
