@@ -216,8 +216,8 @@ def test_both_sides_come_first(basis, monkeypatch):
     """DOLFINx numbers cells as it likes: a facet's first cell is the lower one or the upper."""
     select = GhostFacets.select
 
-    def swapped(self, active):
-        rows = select(self, active).reshape(-1, 4)
+    def swapped(self, active, empty):
+        rows = select(self, active, empty).reshape(-1, 4)
         rows[::2] = rows[::2][:, [2, 3, 0, 1]]
         return rows.ravel()
 
