@@ -271,6 +271,8 @@ class Explicit(MovingBody, Problem):
         reason = why_not(form, field, self.terms.kind, settings, self.held, options)
         if reason is None and sides.incoming:
             reason = "waves come in through a side"
+        if reason is None and sides.rubbing and settings.scheme == "usf":
+            reason = 'frictional sides with scheme="usf"'
         if reason is not None:
             return reason
         laws, loads = Laws(self.points, form.parts.declarations), FusedLoads(form)

@@ -111,7 +111,7 @@ class Faces:
 
     def by_nodes(
         self, place: npt.NDArray[np.intp], size: int
-    ) -> tuple[npt.NDArray[np.uint64], Array, Array]:
+    ) -> tuple[npt.NDArray[np.uint64], Array, Array, Array]:
         """The faces for compiled loops over nodes in another order.
 
         Args:
@@ -121,7 +121,8 @@ class Faces:
         Returns:
             Frictional faces at each node, as bits, shape (size,), or (0,) without such faces.
             Axis, outward sign and friction of each face, shape (faces, 3). Coefficients of the
-            dashpots (N s/m), shape (size, d), or (0, d) without dashpots.
+            dashpots (N s/m), shape (size, d), or (0, d) without dashpots. Room for the momentum
+            that frictional faces take in a step (kg m/s), likewise.
         """
         marks = np.zeros(size if self._rubbing else 0, np.uint64)
         rubbing = np.array([one[1:] for one in self._rubbing]).reshape(-1, 3)
@@ -131,7 +132,7 @@ class Faces:
         dashpots = np.zeros((0 if self.dashpots is None else size, self._d))
         if self.dashpots is not None:
             dashpots[place[place >= 0]] = self.dashpots[place >= 0]
-        return marks, rubbing, dashpots
+        return marks, rubbing, dashpots, np.zeros((marks.size, self._d))
 
     def rub(self, V: Array, kinks: Kinks | None = None) -> None:
         """Stop nodes that would move out, and apply friction to sliding nodes.
@@ -152,3 +153,30 @@ class Faces:
                 kinks.add_nodes(AT_SIDES, rows, out, sliding * left if mu else 0.0 * out, speed)
             for k in along:
                 V[rows, k] *= left
+
+    def settle(self, taken: Array, mapped: Array, kinks: Kinks | None = None) -> None:
+        """Hold nodes that the faces have stopped.
+
+        Points around a stopped node move, and map a velocity to it. A body that strained by this
+        velocity would make energy: the node's forces and the face balance, and do no work. A face
+        holds by no more than the impulse that it has given, and friction by what it has left.
+
+        Args:
+            taken: What `rub` has taken from the velocities of the nodes (m/s), shape (nodes, d).
+            mapped: Velocities of the points, mapped to the nodes (m/s), likewise. Changed.
+            kinks: See `rub`.
+        """
+        speed = 0.0 if kinks is None else float(np.abs(mapped).max(initial=0.0))
+        for rows, axis, outward, mu in self._rubbing:
+            out = outward * taken[rows, axis]
+            rows, out = rows[out > 0], out[out > 0]
+            normal = mapped[rows, axis]
+            mapped[rows, axis] -= np.clip(normal, -out, out)
+            along = [k for k in range(mapped.shape[1]) if k != axis]
+            size, rubbed = (np.linalg.norm(v[rows][:, along], axis=1) for v in (mapped, taken))
+            grip = np.maximum(mu * out - rubbed, 0.0)
+            if kinks is not None:
+                kinks.add_nodes(AT_SIDES, rows, out - np.abs(normal), size - grip, speed)
+            left = np.maximum(0.0, 1.0 - grip / np.maximum(size, 1e-300))
+            for k in along:
+                mapped[rows, k] *= left

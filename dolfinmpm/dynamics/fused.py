@@ -343,7 +343,9 @@ class FusedSteps:
         columns, box = COLUMNS[d], window.rows()
         out, nodes, fixed, before = window.out, window.nodes, prescribed.fixed, prescribed.before
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
-        weight = window.own, self._loads.gravity, dt, self.done
+        weight = (
+            window.sides, window.own, self._loads.gravity, dt, kick, settings.scaling, self.done
+        )  # fmt: skip
         rigid = self._rigid
         if rigid is not None:
             rigid.begin(dt, kick, usf)

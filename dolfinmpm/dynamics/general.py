@@ -37,6 +37,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import viscous_pressure
+from dolfinmpm.dynamics.stepwork import work_at_nodes, work_of_boundaries
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
@@ -92,8 +93,14 @@ class GeneralSteps(ExplicitBase):
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, before, fastest).arrays[0]
         operator = Operator(problem.form, here)
+        if self.kinks is not None:
+            self.kinks.begin_step(field.basis)
         problem.bodies.put(0.0)
-        predicted = dt * V if settings.scheme == "usf" else None
+        V_strain: Array = V
+        predicted: Array | None = None
+        if settings.scheme == "usf":
+            V_strain = self._before_forces(operator, mass, V, kick)
+            predicted = dt * V_strain
         held_by = self._held_by(operator, predicted)
         forces = self._forces(operator, mass, s, predicted)
         if isinstance(forces, str):
@@ -105,12 +112,16 @@ class GeneralSteps(ExplicitBase):
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end = self._end((V, A), mass, here, held, kick, step.t - dt)
+        V_end, stopped = self._end((V, A), mass, here, held, kick, step.t - dt)
         new = self._to_points(operator, field, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
-        V_strain, V_move = V if settings.scheme == "usf" else V_end, V_end
+        V_move = V_end
         if settings.scheme == "musl":
-            V_strain = V_move = mass.solve(self._momenta(mass, field, x_node, new), held).arrays[0]
+            V_move = mass.solve(self._momenta(mass, field, x_node, new), held).arrays[0]
+            if stopped is not None:
+                self._settle(here, stopped, V_move)
+        if settings.scheme != "usf":
+            V_strain = V_move
         moved = points["x"] + dt * collect(s, V_move)
         operator.set_increments([dt * V_strain])
         if held_by is not None and settings.clock is not None:
@@ -121,8 +132,12 @@ class GeneralSteps(ExplicitBase):
         if isinstance(state, str):
             return state
         self._watch(operator, True)
-        self._work.external += self._external(operator, mass, forces, V, V_end, V_move, step, kick)
-        self._work.external += self._work_of_boundaries(mass, here, held_by, dt * V_strain)
+        self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), dt, kick)
+        self._work.external += work_of_boundaries(here, held_by, dt * V_strain)
+        if stopped is not None:
+            # friction works on the velocities of the strain, as stresses do
+            rubbed = mass.inner(V_strain, mass.blocks, stopped)
+            self._work.losses["friction"] += dt / kick * rubbed
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
         if settings.mapping.kind == "tpic":
@@ -138,8 +153,6 @@ class GeneralSteps(ExplicitBase):
     def _watch(self, operator: Operator, ends: bool) -> None:
         """Keep which corners touch rigid bodies at an end of a step, if somebody asks for it."""
         if self.kinks is not None:
-            if not ends:
-                self.kinks.begin_step(operator.here.fields[0].basis)
             for active in self._problem.bodies.acting(operator):
                 self.kinks.add_corners(active, ends)
 
@@ -159,14 +172,6 @@ class GeneralSteps(ExplicitBase):
             operator.set_increments([dt * motion.V_end])
             gradient = operator.points.gradient[0] / dt
         return mapping.to_points(points, field, x_node, motion, mass, dt, 1.0, gradient)
-
-    @staticmethod
-    def _work_of_boundaries(mass: Mass, here: Activation, force: Array | None, u: Array) -> float:
-        """Work of forces of boundaries on increments of the nodes (J). Collective."""
-        if force is None:
-            return 0.0
-        at = here.unknowns.fields[0].owned_nodes
-        return mass.comm.allreduce(-float(np.sum(force[at] * u[at])), op=MPI.SUM)
 
     def _find_lateness(self, operator: Operator, net: float, grid: float) -> None:
         """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
@@ -298,10 +303,14 @@ class GeneralSteps(ExplicitBase):
     def _end(
         self, motion: tuple[Array, Array], mass: Mass, here: Activation, held: Array, dt: float,
         t: float,
-    ) -> Array:  # fmt: skip
+    ) -> tuple[Array, Array | None]:  # fmt: skip
         """Velocities at the end of a step, with faces of the grid and conditions. Collective.
 
         Waves come in with their forces at the time t of the positions.
+
+        Returns:
+            The velocities (m/s), shape (nodes, d), and what frictional faces have taken from them,
+            likewise, or None without such faces.
         """
         V, A = motion
         V_end = V + dt * A
@@ -310,14 +319,42 @@ class GeneralSteps(ExplicitBase):
         if faces is not None and faces.dashpots is not None:
             V_end[fixed] = held[fixed]
             V_end = self._damped(V, V_end, mass, here, faces, dt, t)
-        if faces is not None:
+        stopped = None
+        if faces is not None and self.sides.rubbing:
             free = V_end.copy()
             faces.rub(V_end, self.kinks)
+            stopped = free - V_end
             # what conditions hold is not moved by friction
-            V_end[fixed] = free[fixed]
-            self._work.losses["friction"] += mass.taken(V, free, V_end)
+            stopped[fixed] = 0.0
         V_end[fixed] = held[fixed]
-        return V_end
+        return V_end, stopped
+
+    def _settle(self, here: Activation, taken: Array, V: Array) -> None:
+        """Hold nodes that frictional faces have stopped, but for conditions; see `Faces.settle`."""
+        faces, fixed = self.sides.on(here.fields[0].basis), here.unknowns.fields[0].fixed
+        assert faces is not None
+        given = V[fixed]
+        faces.settle(taken, V, self.kinks)
+        V[fixed] = given
+
+    def _before_forces(self, operator: Operator, mass: Mass, V: Array, kick: float) -> Array:
+        """Velocities for the strain before the forces, in "usf" (m/s). Collective.
+
+        The forces before the strain tell which nodes frictional faces will stop.
+        """
+        here = operator.here
+        faces = self.sides.on(here.fields[0].basis)
+        if faces is None or not self.sides.rubbing:
+            return V
+        forces = self._forces(operator, mass, here.fields[0].stencils, None)
+        assert isinstance(forces, Nodal)
+        if (held_by := self._held_by(operator, None)) is not None:
+            forces.arrays[0][:] -= held_by
+        free = V + kick * mass.solve(forces, np.zeros_like(V)).arrays[0]
+        V_end, settled = free.copy(), V.copy()
+        faces.rub(V_end, self.kinks)
+        self._settle(here, free - V_end, settled)
+        return settled
 
     def _damped(
         self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces, dt: float,
@@ -356,25 +393,3 @@ class GeneralSteps(ExplicitBase):
             done = 0.5 * dt * float(np.sum(force[:owned] * (V + V_end)[:owned]))
             self._work.losses[name] += mass.comm.allreduce(done, op=MPI.SUM)
         self._resisting.clear()
-
-    def _external(
-        self,
-        operator: Operator,
-        mass: Mass,
-        forces: Nodal,
-        V: Array,
-        V_end: Array,
-        V_move: Array,
-        step: Step,
-        kick: float,
-    ) -> float:
-        """Work of loads and of prescribed motions in a step (J). Collective."""
-        external = operator.load_work([step.dt * V_move])
-        here = operator.here
-        if here.driven:
-            # a prescribed motion changes the momentum of its nodes, against their forces
-            impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
-            at = here.unknowns.fields[0].places[1]
-            done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
-            external += mass.comm.allreduce(done, op=MPI.SUM)
-        return external

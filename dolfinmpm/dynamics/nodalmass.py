@@ -135,20 +135,6 @@ class Mass:
         # the points' mass is the first block, see `MassTerms.blocks`
         return 0.5 * self.inner(V, self.blocks[:1], V), 0.5 * self.inner(V, self.blocks[1:], V)
 
-    def taken(self, V: Array, free: Array, V_end: Array) -> float:
-        """Energy taken by impulses that change velocities at the end of a step (J). Collective.
-
-        An impulse works on the mean of the velocities before and after the step, as all other
-        forces do. The kinetic energy that it takes from velocities without it is not its work
-        alone: a side that carries a weight would seem to take energy from a body at rest.
-
-        Args:
-            V: Velocities at the start of the step (m/s), shape (nodes, d).
-            free: Velocities at its end without the impulses (m/s), shape (nodes, d).
-            V_end: Velocities at its end (m/s), shape (nodes, d).
-        """
-        return self.inner(0.5 * (V + V_end), self.blocks, free - V_end)
-
     def _own_of(self, unknowns: Unknowns) -> FieldUnknowns:
         """The field's unknowns, in the unknowns of all fields or of this field alone."""
         return unknowns.fields[self._k if len(unknowns.fields) > 1 else 0]

@@ -31,6 +31,27 @@ def _rub(mark, rubbing, velocity):
             velocity[i] *= left
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _settle(mark, rubbing, fixed, per_momentum, taken, mapped):
+    """Hold a node that sides have stopped, see `Faces.settle`; taken are momenta here."""
+    for face in range(rubbing.shape[0]):
+        axis, outward, mu = int(rubbing[face, 0]), rubbing[face, 1], rubbing[face, 2]
+        out = outward * taken[axis] * per_momentum
+        if (mark >> np.uint64(face)) & np.uint64(1) == 0 or not out > 0.0:
+            continue
+        if not fixed[axis]:
+            mapped[axis] -= min(max(mapped[axis], -out), out)
+        size = rubbed = 0.0
+        for i in range(mapped.size):
+            if i != axis:
+                size, rubbed = size + mapped[i] ** 2, rubbed + taken[i] ** 2
+        grip = max(mu * out - math.sqrt(rubbed) * per_momentum, 0.0)
+        left = max(0.0, 1.0 - grip / max(math.sqrt(size), 1e-300))
+        for i in range(mapped.size):
+            if i != axis and not fixed[i]:
+                mapped[i] *= left
+
+
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def move_nodes(
     box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, kick, scaling,
@@ -50,8 +71,8 @@ def move_nodes(
     """
     _, mass, force, second = columns
     d = fixed.shape[1]
-    marks, rubbing, dashpots = faces
-    ends, free, forces, resisting = np.empty(d), np.empty(d), np.empty(d), np.zeros(d)
+    marks, rubbing, dashpots, taken = faces
+    ends, forces, resisting = np.empty(d), np.empty(d), np.zeros(d)
     work = grid = damped = rubbed = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
@@ -74,12 +95,14 @@ def move_nodes(
                             damped += kick * dashpots[k, i] * ends[i] ** 2
             if marks.shape[0] > 0 and marks[k] != 0:
                 for i in range(d):
-                    free[i] = ends[i]
+                    taken[k, i] = ends[i]
                 _rub(marks[k], rubbing, ends)
                 for i in range(d):
-                    if not fixed[k, i]:
-                        # the impulse works on the mean velocity, see `Mass.taken`
-                        rubbed += half * (free[i] - ends[i]) * (out[k, i] * per_mass + ends[i])
+                    lost = 0.0 if fixed[k, i] else m * scaling * (taken[k, i] - ends[i])
+                    taken[k, i] = lost
+                    if last and own[k]:
+                        # friction works on the velocities of the strain, as stresses do
+                        rubbed += dt / kick * lost * ends[i]
             for i in range(d):
                 y, f, end = out[k, i] * per_mass, forces[i], ends[i]
                 change = kick * f * per_mass / scaling
@@ -110,12 +133,16 @@ def move_nodes(
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-def divide(box, columns, out, momentum, nodes, fixed, held, own, g, dt, done, last):
+def divide(
+    box, columns, out, momentum, nodes, fixed, held, faces, own, g, dt, kick, scaling, done, last
+):  # fmt: skip
     """Velocities for the strain from momenta; see `move_nodes` for the arguments.
 
-    If these velocities also move the points, the work of gravity is added, and sums are cleared.
+    If these velocities also move the points, the works of gravity and of friction are added, sides
+    hold the nodes that they have stopped, and sums are cleared.
     """
-    work = 0.0
+    work, rubbed, d = 0.0, 0.0, fixed.shape[1]
+    marks, rubbing, _, taken = faces
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
             m = out[k, columns[1]]
@@ -124,12 +151,20 @@ def divide(box, columns, out, momentum, nodes, fixed, held, own, g, dt, done, la
                 y = out[k, momentum + i] * per_mass
                 y = held[k, i] if fixed[k, i] else y
                 nodes[k, columns[3] + i] = y
-                if last and own[k]:
-                    work += dt * m * g[i] * y
+            if last and marks.shape[0] > 0 and marks[k] != 0:
+                mapped, per_momentum = nodes[k, columns[3] : columns[3] + d], per_mass / scaling
+                _settle(marks[k], rubbing, fixed[k], per_momentum, taken[k], mapped)
+                for i in range(d):
+                    if own[k]:
+                        rubbed += dt / kick * taken[k, i] * mapped[i]
             if last:
+                for i in range(d):
+                    if own[k]:
+                        work += dt * m * g[i] * nodes[k, columns[3] + i]
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
     done[1] += work
+    done[5] += rubbed
 
 
 @numba.njit(cache=True, error_model="numpy")

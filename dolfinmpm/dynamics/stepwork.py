@@ -1,4 +1,4 @@
-"""Works in an implicit step in time: of loads, contacts, penalties and dashpots."""
+"""Works in a step in time: of loads, contacts, boundaries, penalties and dashpots."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
@@ -21,6 +22,8 @@ __all__ = [
     "MovingNodes",
     "add_work_of_nodes",
     "mean_contact_forces",
+    "work_at_nodes",
+    "work_of_boundaries",
     "work_of_contact",
     "work_of_loads",
     "work_of_waves",
@@ -101,6 +104,50 @@ def work_of_loads(
     for one, motion in moved:
         forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
     return plain.load_work() + plain.work_at_prescribed(forces)
+
+
+def work_at_nodes(
+    operator: Operator,
+    mass: Mass,
+    forces: Nodal,
+    motion: tuple[Array, Array, Array],
+    dt: float,
+    kick: float,
+) -> float:
+    """Work of loads and of prescribed motions in an explicit step (J). Collective.
+
+    Args:
+        operator: The step's equations.
+        mass: Mass of the nodes.
+        forces: Forces on the nodes (N).
+        motion: Velocities at the start and at the end of the step, and velocities by which the
+            points move (m/s), shape (nodes, d).
+        dt, kick: Time during which points move, and time during which forces act (s).
+    """
+    V, V_end, V_move = motion
+    external = operator.load_work([dt * V_move])
+    here = operator.here
+    if here.driven:
+        # a prescribed motion changes the momentum of its nodes, against their forces
+        impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
+        at = here.unknowns.fields[0].places[1]
+        done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
+        external += mass.comm.allreduce(done, op=MPI.SUM)
+    return external
+
+
+def work_of_boundaries(here: Activation, force: Array | None, u: Array) -> float:
+    """Work of forces of boundaries on increments of the nodes (J). Collective.
+
+    Args:
+        here: The activation.
+        force: Internal forces of boundaries (N), shape (nodes, d), or None without boundaries.
+        u: Increments (m), shape (nodes, d).
+    """
+    if force is None:
+        return 0.0
+    at = here.unknowns.fields[0].owned_nodes
+    return here.unknowns.comm.allreduce(-float(np.sum(force[at] * u[at])), op=MPI.SUM)
 
 
 def add_work_of_nodes(

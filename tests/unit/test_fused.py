@@ -251,7 +251,10 @@ def test_velocities_in_time(scheme, d):
     assert abs(one.energies().external) > 0
 
 
-@pytest.mark.parametrize(("scheme", "d"), schemes("usf", "usf"))
+RUBBING = [("musl", 2), *(pytest.param(*one, marks=LONG) for one in [("usl", 2), ("musl", 3)])]
+
+
+@pytest.mark.parametrize(("scheme", "d"), RUBBING)
 def test_sides_that_rub_and_let_waves_out(scheme, d):
     def conditions(V):
         sides = mpm.frictional(V, "bottom", friction=0.3) + mpm.frictional(V, "left", friction=0.0)
@@ -262,7 +265,7 @@ def test_sides_that_rub_and_let_waves_out(scheme, d):
 
     one = compare(
         conditions=conditions, damping=0.1, mass_scaling=2.0, scheme=scheme, times=(0.013, 0.06),
-        mapping="pic" if scheme == "usf" else "flip", **lying(d),
+        mapping="flip", **lying(d),
     )  # fmt: skip
     assert one.energies().kinetic > 0
 
