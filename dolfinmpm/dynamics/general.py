@@ -73,17 +73,23 @@ class GeneralSteps(ExplicitBase):
             self._stiffness = weighed(problem.form, problem.activate())[1]
         return self._stiffness
 
+    def _activated(self, step: Step) -> Activation:
+        """The activation of a step. Collective."""
+        problem = self._problem
+        raise_together(problem.points.comm, problem.points.fault())
+        balance(problem.points)
+        problem.bodies.begin(step.dt)
+        here = problem.activate(step)
+        if problem.form.boundaries:
+            here, self._stiffness = weighed(problem.form, here)
+        return here
+
     @stages.commit
     def _take(self, step: Step, kick: float) -> int | str:
         """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
-        raise_together(points.comm, points.fault())
-        balance(points)
-        problem.bodies.begin(dt)
-        here = problem.activate(step)
-        if problem.form.boundaries:
-            here, self._stiffness = weighed(problem.form, here)
+        here = self._activated(step)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(problem.terms, here, settings.scaling)
@@ -133,19 +139,10 @@ class GeneralSteps(ExplicitBase):
             return state
         self._watch(operator, True)
         self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), dt, kick)
-        self._work.external += work_of_boundaries(here, held_by, dt * V_strain)
-        if stopped is not None:
-            # friction works on the velocities of the strain, as stresses do
-            rubbed = mass.inner(V_strain, mass.blocks, stopped)
-            self._work.losses["friction"] += dt / kick * rubbed
+        self._add_at_sides(mass, here, held_by, stopped, dt * V_strain, kick)
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
-        if settings.mapping.kind == "tpic":
-            # from now on, the gradient refers to the new positions
-            gradient = new["velocity_gradient"]
-            turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
-            new["velocity_gradient"] = turned
-        state.fields.update(new)
+        state.fields.update(settings.mapping.at_new_positions(new, dt))
         self._find_lateness(operator, net, grid)
         self._work.external += problem.bodies.commit(problem.bodies.acting(operator))
         return commit(points, state)
@@ -379,6 +376,13 @@ class GeneralSteps(ExplicitBase):
         self._work.external += came
         self._work.losses["damping"] += lost
         return damped
+
+    def _add_at_sides(self, mass: Mass, here: Activation, held_by, stopped, u, kick) -> None:
+        """Add the works of boundaries and of frictional sides on increments u (m). Collective."""
+        self._work.external += work_of_boundaries(here, held_by, u)
+        if stopped is not None:
+            # friction works on the velocities of the strain, as stresses do
+            self._work.losses["friction"] += mass.inner(u, mass.blocks, stopped) / kick
 
     def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
         """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.

@@ -168,6 +168,19 @@ class Mapping:
             scatter(field.stencils, m, v, out.arrays[0])
         out.add_up()
 
+    def at_new_positions(self, new: dict[str, Array], dt: float) -> dict[str, Array]:
+        """Motion of the points whose gradients of the velocity refer to their new positions.
+
+        Args:
+            new: Result of `to_points`.
+            dt: Length of the step (s).
+        """
+        if self.kind != "tpic":
+            return new
+        gradient = new["velocity_gradient"]
+        turned = gradient @ np.linalg.inv(np.eye(gradient.shape[-1]) + dt * gradient)
+        return new | {"velocity_gradient": turned}
+
     def to_points(
         self,
         points: MaterialPoints,

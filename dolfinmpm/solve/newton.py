@@ -209,8 +209,7 @@ class Newton:
         # residual at the end of the present step, if secants have found it already
         ahead: Residual | None = None
         secants = Secants(operator.here.unknowns.comm, operator.residual) if contact else None
-        spare, smallest = _SPARE * self.tolerance, 0.0
-        resolved = 0.0 if contact else self._resolved(operator)
+        spare, smallest, resolved = _SPARE * self.tolerance, 0.0, self._resolved(operator, contact)
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
 
@@ -246,8 +245,8 @@ class Newton:
                 return reason if now.by_field is None else Reason.ITERATING
             if reason == Reason.ITERATING and resolved and iteration > 0:
                 others = by_field is None or _others_balanced(operator, by_field, self.tolerance)
-                balance.rounded = others and _moved(operator, snes.getSolutionUpdate()) <= resolved
-                if balance.rounded:
+                if others and _moved(operator, snes.getSolutionUpdate()) <= resolved:
+                    balance.rounded = True
                     return Reason.CONVERGED_SNORM_RELATIVE
             stuck = balance.stalls if secants is None else secants.stuck
             if balance.guessed and reason == Reason.ITERATING and stuck:
@@ -264,14 +263,14 @@ class Newton:
         snes.setConvergenceTest(test)
         return snes
 
-    def _resolved(self, operator: Operator) -> float:
+    def _resolved(self, operator: Operator, contact: bool) -> float:
         """Change of the increments (m) that ends the iterations; 0 where none does. Collective.
 
         F = 1 + ∇u rounds strains, so that forces of tiny strains balance to a few digits only. The
         change tells of it if Newton's steps are full ones. Other fields, such as pressures, must
         be in balance.
         """
-        full = bool(self.searches) and self.search == SEARCHES[0]
+        full = bool(self.searches) and self.search == SEARCHES[0] and not contact
         newton = self.linear.snes.getType() == "newtonls"
         if not (full and newton and operator.here.movers):
             return 0.0
