@@ -126,7 +126,8 @@ def _check_field(given: PointField, points: MaterialPoints) -> None:
     """
     k, error = given.array, None
     k = np.linalg.eigvalsh(k)[:, 0] if k.ndim > 1 and np.isfinite(k).all() else k
-    bad = np.flatnonzero(~((k >= 0) & np.isfinite(k)).reshape(len(k), -1).all(axis=1))
+    fine = (k >= 0) & np.isfinite(k)
+    bad = np.flatnonzero(~fine.all(axis=tuple(range(1, k.ndim))))
     if bad.size:
         error = ParameterError(
             f"permeability = {shown(given.array[bad[0]])} m/s of the point at "

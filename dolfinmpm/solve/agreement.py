@@ -239,7 +239,8 @@ def _expression(expression: Expr) -> Any:
     numbers, places, operations = [], [], Counter[str]()
     for node in unique_pre_traversal(expression):
         if isinstance(node, ScalarValue):
-            numbers.append(float(node))
+            value = complex(node)
+            numbers += [value.real, value.imag] if value.imag else [value.real]
         elif isinstance(node, MultiIndex):
             # numbers of free indices differ between ranks
             places += [int(index) for index in node if isinstance(index, FixedIndex)]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["COMPONENTS", "Leg", "legs_of"]
+__all__ = ["COMPONENTS", "Leg", "check_logarithmic", "legs_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -24,7 +24,7 @@ COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "xz")
 _PATHS = ("isotropic", "oedometer", "triaxial", "undrained triaxial", "simple shear",
           "undrained simple shear")  # fmt: skip
 
-# Largest strain of a path; larger ones are in per cent
+# Largest logarithmic strain of a path; larger ones are in per cent
 _LARGEST = 3.0
 
 
@@ -76,11 +76,6 @@ def leg(strain: Mapping[str, float | None], stress: Mapping[str, float | None], 
         for name, value in given.items():
             rows.append(_weights(name))
             targets.append(np.nan if value is None else number(str(name), value))
-            if not is_stress and abs(targets[-1]) > _LARGEST:
-                raise ParameterError(
-                    f"the strain {name} = {value:g} must be between -{_LARGEST:g} and "
-                    f"{_LARGEST:g}: strains are logarithmic, and give 10 % as 0.1"
-                )
             of_stress.append(is_stress)
     named = np.any(np.array(rows).reshape(-1, 6) != 0.0, axis=0)
     for k in np.flatnonzero(~named):
@@ -94,6 +89,21 @@ def leg(strain: Mapping[str, float | None], stress: Mapping[str, float | None], 
             "nothing names keep their strain"
         )
     return Leg(np.array(of_stress), np.array(rows), np.array(targets), whole("steps", steps, 1))
+
+
+def check_logarithmic(legs: Sequence[Leg]) -> None:
+    """Refuse normal strains that are too large for logarithmic ones; shear may be large.
+
+    Raises:
+        ParameterError: A normal strain is more than 3.
+    """
+    for one in legs:
+        normal = ~one.of_stress & one.weights[:, :3].any(axis=1)
+        for strain in one.targets[normal & (np.abs(one.targets) > _LARGEST)]:
+            raise ParameterError(
+                f"the normal strain {strain:g} must be between -{_LARGEST:g} and {_LARGEST:g}: "
+                "strains are logarithmic, and 10 % is 0.1"
+            )
 
 
 def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:

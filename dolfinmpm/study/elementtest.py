@@ -13,7 +13,7 @@ from dolfinmpm._platform.argumentchecks import coordinates, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.io.history import History
-from dolfinmpm.study.elementpaths import COMPONENTS, Leg, legs_of
+from dolfinmpm.study.elementpaths import COMPONENTS, Leg, check_logarithmic, legs_of
 from dolfinmpm.study.elementpoint import ElementPoint, matrix
 
 __all__ = ["element_test"]
@@ -94,6 +94,8 @@ def element_test(
     """
     legs = legs_of(path, to, by, steps)
     point = ElementPoint(law, strain, _first(pressure, stress))
+    if point.kind != "small":
+        check_logarithmic(legs)
     history = History(MPI.COMM_WORLD)
     start = point.stress[0]
     _record(history, point, start)
