@@ -211,9 +211,8 @@ class Scene:
             mpm.set_stress(law, points, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
         # in units of E/h with the h of the fine cells, where others are smaller
-        stiff = {"penalty": args.penalty * self.finest / h}
-        if self.wet:
-            stiff = {"stiffness_per_area": args.penalty / h * E}
+        relative = {"penalty": args.penalty * self.finest / h}
+        stiff = {"stiffness_per_area": args.penalty / h * E} if self.wet else relative
         F += mpm.contact(
             self.cone, points, u, v, friction=args.friction, corners=args.corners, **stiff
         )

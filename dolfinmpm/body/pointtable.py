@@ -249,7 +249,8 @@ class PointTable:
 
         Raises:
             FieldShapeError: The array has another shape.
-            ParameterError: Values are no numbers, or no whole numbers for such a field.
+            ParameterError: Values are no numbers, or no whole numbers for such a field; or they are
+                stresses of points that have moved.
         """
         target = self[name]
         if name == "cell":

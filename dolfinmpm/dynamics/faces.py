@@ -336,8 +336,8 @@ class Sides:
             if others:
                 where = "twice" if face.kind in others else f"beside the {others.pop()} one"
                 raise ParameterError(
-                    f"the {face.kind} face at '{face.where}' is there {where}, and would act "
-                    "twice: leave one out"
+                    f"the {face.kind} face at '{face.where}' is there {where}, and both would "
+                    "act: leave one out"
                 )
             for condition in conditions:
                 _refuse_held(face, condition)

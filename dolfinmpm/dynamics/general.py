@@ -37,7 +37,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import viscous_pressure
-from dolfinmpm.dynamics.stepwork import work_at_nodes, work_of_boundaries
+from dolfinmpm.dynamics.stepwork import work_at_nodes, work_of_boundaries, work_of_friction
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
@@ -139,7 +139,8 @@ class GeneralSteps(ExplicitBase):
             return state
         self._watch(operator, True)
         self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), dt, kick)
-        self._add_at_sides(mass, here, held_by, stopped, dt * V_strain, kick)
+        self._work.external += work_of_boundaries(here, held_by, dt * V_strain)
+        self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, kick)
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
@@ -376,13 +377,6 @@ class GeneralSteps(ExplicitBase):
         self._work.external += came
         self._work.losses["damping"] += lost
         return damped
-
-    def _add_at_sides(self, mass: Mass, here: Activation, held_by, stopped, u, kick) -> None:
-        """Add the works of boundaries and of frictional sides on increments u (m). Collective."""
-        self._work.external += work_of_boundaries(here, held_by, u)
-        if stopped is not None:
-            # friction works on the velocities of the strain, as stresses do
-            self._work.losses["friction"] += mass.inner(u, mass.blocks, stopped) / kick
 
     def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
         """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.

@@ -169,7 +169,7 @@ class Mass:
             text = (
                 f"the consistent mass is next to singular: a node has the velocity {largest:.3g} "
                 f"m/s where points have at most {fastest:.3g} m/s, and {_PROPORTION:g} times that "
-                f"is what a sound mass may give; give {self._remedies()}"
+                f"is what a sound mass may give; give {self._advice()}"
             )
             if not math.isfinite(largest):
                 raise ConvergenceError(text)
@@ -178,7 +178,7 @@ class Mass:
                 warn(self.comm, text, SingularMassWarning)
         return V
 
-    def _remedies(self) -> str:
+    def _advice(self) -> str:
         """What would make the mass sound, without what it has already, for messages."""
         found = [] if self._terms.ghost else ["a ghost_mass above 0, such as 0.25"]
         found += ['mass="lumped"']
@@ -248,7 +248,7 @@ class Mass:
         if ksp.getConvergedReason() <= 0:
             error = ConvergenceError(
                 f"the consistent mass is singular to rounding: CG ends after {self.iterations} "
-                f"iterations; give {self._remedies()}"
+                f"iterations; give {self._advice()}"
             )
         raise_together(unknowns.comm, error)
         return np.array(x.getArray(readonly=True))

@@ -25,6 +25,7 @@ __all__ = [
     "work_at_nodes",
     "work_of_boundaries",
     "work_of_contact",
+    "work_of_friction",
     "work_of_loads",
     "work_of_waves",
 ]
@@ -148,6 +149,21 @@ def work_of_boundaries(here: Activation, force: Array | None, u: Array) -> float
         return 0.0
     at = here.unknowns.fields[0].owned_nodes
     return here.unknowns.comm.allreduce(-float(np.sum(force[at] * u[at])), op=MPI.SUM)
+
+
+def work_of_friction(mass: Mass, stopped: Array | None, u: Array, kick: float) -> float:
+    """Work taken by frictional sides in an explicit step (J). Collective.
+
+    Friction works on the velocities that strain the body, as stresses do.
+
+    Args:
+        mass: Mass of the nodes.
+        stopped: What the sides have taken from the velocities of the nodes (m/s), shape (nodes, d),
+            or None without such sides.
+        u: Increments by the velocities that strain the body (m), likewise.
+        kick: Time during which forces act (s).
+    """
+    return 0.0 if stopped is None else mass.inner(u, mass.blocks, stopped) / kick
 
 
 def add_work_of_nodes(
