@@ -172,7 +172,7 @@ def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_told(rule):
     ("options", "word"), [({"ghost_mass": 0.1}, "ghost"), ({"stabilisation": "aggregation"}, "agg")]
 )
 def test_advice_on_a_singular_mass_leaves_out_what_is_set(options, word):
-    advice = mapped(block("quadrilateral", "gimp", 0.5, **options))[0]._remedies()
+    advice = mapped(block("quadrilateral", "gimp", 0.5, **options))[0]._advice()
     assert word not in advice
     assert 'mass="lumped", or' in advice
 
