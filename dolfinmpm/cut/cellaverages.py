@@ -55,6 +55,16 @@ def _to_points(order, groups, cell_start, cells, share_start, shares, values, ou
             out[order[position]] = value
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _largest_shares(groups, cell_start, share_start, shares, out):
+    for g in range(groups.size - 1):
+        number = cell_start[g + 1] - cell_start[g]
+        for row in range(groups[g + 1] - groups[g]):
+            for k in range(number):
+                share = shares[share_start[g] + row * number + k]
+                out[cell_start[g] + k] = max(out[cell_start[g] + k], share)
+
+
 @dataclass(frozen=True)
 class Shares:
     """Shares of the points in cells or lower splines; those of a point sum to 1.
@@ -72,6 +82,16 @@ class Shares:
     of: npt.NDArray[np.int32]
     start: npt.NDArray[np.int64]
     values: Array
+
+    def pairs(self, groups: npt.NDArray[np.int32]) -> npt.NDArray[np.intp]:
+        """Positions in `of` of the cells in which a point of the group has a share.
+
+        Args:
+            groups: First point of every group of the stencils, shape (groups + 1,).
+        """
+        largest = np.zeros(self.of.size)
+        _largest_shares(groups, self.cell_start, self.start, self.values, largest)
+        return np.flatnonzero(largest)
 
 
 @once_per_grid

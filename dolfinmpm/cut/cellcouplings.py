@@ -76,7 +76,9 @@ def _add_forces(
                     for j in range(gdim):
                         f += dN[at + a, j] * flux[p, q + 1 + j]
                     for k in range(number):
-                        out[entry[entry_start[cell_start[g] + k] + a], i] += shares[share + k] * f
+                        if shares[share + k] != 0.0:
+                            at_entry = entry[entry_start[cell_start[g] + k] + a]
+                            out[at_entry, i] += shares[share + k] * f
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -167,8 +169,9 @@ class CellCouplings:
         cells, of = means.shares.cells, means.shares.of
         pairs = np.diff(means.shares.cell_start)
         group_of = np.repeat(np.arange(pairs.size), pairs)
-        first = running_sum(np.bincount(of, minlength=cells.size), np.int64)
-        of_cell = np.argsort(of, kind="stable")
+        shared = means.shares.pairs(s.groups)
+        first = running_sum(np.bincount(of[shared], minlength=cells.size), np.int64)
+        of_cell = shared[np.argsort(of[shared], kind="stable")]
         self._start = np.zeros(cells.size + 1, np.int64)
         self._entry_start = running_sum(np.diff(s.node_start)[group_of], np.int64)
         self._entry = np.empty(self._entry_start[-1], np.int64)

@@ -10,6 +10,7 @@ from dolfinx.la import InsertMode, Vector
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.leafsplinestencils import leaf_integrals
+from dolfinmpm.basis.lineweights import INNER
 from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import cell_volumes
@@ -20,17 +21,18 @@ Array = npt.NDArray[np.float64]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _share(low, high, cell, x, half, p):
-    """Share of a point's domain in a cell. A point without a domain is in one cell."""
+def _share(low, high, cell, x, half, p, part):
+    """Share in a cell of the inner part of a domain. A point without a domain is in one cell."""
     share = 1.0
     for d in range(x.shape[1]):
         if half[p, d] == 0.0:
             if not low[cell, d] <= x[p, d] < high[cell, d]:
                 return 0.0
             continue
-        left = max(x[p, d] - half[p, d], low[cell, d])
-        right = min(x[p, d] + half[p, d], high[cell, d])
-        share *= max(right - left, 0.0) / (2.0 * half[p, d])
+        inner = part * half[p, d]
+        left = max(x[p, d] - inner, low[cell, d])
+        right = min(x[p, d] + inner, high[cell, d])
+        share *= max(right - left, 0.0) / (2.0 * inner)
     return share
 
 
@@ -50,7 +52,7 @@ def _spread(order, groups, cell_start, cells, low, high, x, half, volume, wanted
         for position in range(groups[g], groups[g + 1]):
             p = order[position]
             for at in range(cell_start[g], cell_start[g + 1]):
-                share = 1.0 if single else _share(low, high, cells[at], x, half, p)
+                share = 1.0 if single else _share(low, high, cells[at], x, half, p, 1.0)
                 out[cells[at]] += share * volume[p]
 
 
@@ -66,7 +68,7 @@ def _fill_shares(order, groups, cell_start, cells, low, high, x, half, share_sta
                 continue
             total = 0.0
             for k in range(number):
-                shares[start + k] = _share(low, high, cells[cell_start[g] + k], x, half, p)
+                shares[start + k] = _share(low, high, cells[cell_start[g] + k], x, half, p, INNER)
                 total += shares[start + k]
             for k in range(number):
                 shares[start + k] /= total
@@ -85,7 +87,8 @@ def domain_shares(
     """Shares of the points' domains in cells. The shares of a point sum to 1.
 
     Parts of a domain outside the grid do not count. A point without a domain is entirely in its
-    cell.
+    cell. A domain that reaches into a cell by less than 0.1 % of its length has no share there, see
+    `dolfinmpm.basis.lineweights.INNER`.
 
     Returns:
         First entry of every group, shape (groups + 1,), and the shares: per point of a group one

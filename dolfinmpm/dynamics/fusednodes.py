@@ -20,7 +20,7 @@ import numpy as np
 
 from dolfinmpm._platform.simd import add_at, axpy, four, lanes, load, number_at, times
 from dolfinmpm._platform.simd import store as put
-from dolfinmpm.basis.lineweights import line_shares, line_weights, overlapped
+from dolfinmpm.basis.lineweights import cell_shares, line_shares, line_weights, overlapped
 from dolfinmpm.basis.uniformweights import middle_weights
 from dolfinmpm.dynamics.smalltensors import INLINE
 
@@ -328,9 +328,13 @@ def shares_of(
     if general:
         for k in range(d):
             line_shares(
-                lines[k], uniform, degree, i[k], n[k] - degree, x[k], half[k], dS[k], L[k], room,
-                part, slope,
+                lines[k], uniform, degree, i[k], n[k] - degree, x[k], half[k], L[k], room, part,
+                slope,
             )  # fmt: skip
+        return
+    if degree == 1:
+        for k in range(d):
+            cell_shares(lines[k], i[k], n[k] - 1, x[k], half[k], L[k])
         return
     # slopes of splines are differences of those one degree lower
     for k in range(d):
