@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import shutil
@@ -63,21 +64,22 @@ GROUPS = [list(CASES)[k : k + GROUP] for k in range(0, len(CASES), GROUP)]
 
 
 @functools.cache
-def launched(cases: tuple[str, ...], ranks: int) -> tuple[dict[str, dict], str]:
+def launched(cases: tuple[str, ...], ranks: int, turns) -> tuple[dict[str, dict], str]:
     """Figures of the cases that one launch brought to their end, and how it ended itself."""
-    done = start("tests/mpi/run_case.py", *cases, ranks=ranks)
+    with turns.alone() if ranks > 1 else contextlib.nullcontext():
+        done = start("tests/mpi/run_case.py", *cases, ranks=ranks)
     lines = [json.loads(x) for x in done.stdout.splitlines() if x.startswith('{"case": ')]
     found = {line["case"]: line["figures"] for line in lines}
     return found, f"exit code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-4000:]}"
 
 
-def figures(case: str, ranks: int) -> dict:
+def figures(case: str, ranks: int, turns) -> dict:
     (group,) = (names for names in GROUPS if case in names)
     alike = [name for name in group if (name in VARIANTS) == (case in VARIANTS)]
-    found, end = launched(tuple(alike), ranks)
+    found, end = launched(tuple(alike), ranks, turns)
     if case not in found:
         # another one may have ended the launch
-        found, end = launched((case,), ranks)
+        found, end = launched((case,), ranks, turns)
     assert case in found, f"{case} on {ranks} ranks: {end}"
     return found[case]
 
@@ -104,8 +106,8 @@ def leaves(figures, path=()):
         for ranks in ((3,) if case in VARIANTS else (2, 3))
     ],
 )
-def test_figures_do_not_depend_on_the_ranks(case, ranks):
-    one, many = leaves(figures(case, 1)), leaves(figures(case, ranks))
+def test_figures_do_not_depend_on_the_ranks(case, ranks, turns):
+    one, many = leaves(figures(case, 1, turns)), leaves(figures(case, ranks, turns))
     assert one.keys() == many.keys()
     few = TOLERANCES.get(case, 1e-9)
     texts = {path for path in one if isinstance(one[path], str)}
