@@ -27,6 +27,7 @@ from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.missingfields import no_field
 from dolfinmpm.body.pointsymbols import PointSymbols
+from dolfinmpm.body.resultfields import OF_STRAIN
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
@@ -45,10 +46,6 @@ BUILT_IN = {
     "l0": "m",
     "stress": "Pa",
 }
-
-# Values of `moved_under` of points whose stress follows from a strain, see
-# `dolfinmpm.kinematics.strainhistory.MARKS`
-_OF_STRAIN = (1, 2, 3, 4)
 
 
 class PointTable:
@@ -91,6 +88,7 @@ class PointTable:
                 cast("MaterialPoints", self), name, values[name].shape[1:], unit
             )
             self.fields[name] = values[name].copy()
+        self.fields.seal("V")
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -246,19 +244,28 @@ class PointTable:
         """Set a field's values on this rank; a single value is for all points.
 
         The next step checks the values, and raises on all ranks if a density is negative, say.
+        Setting "stress" is collective.
 
         Raises:
             FieldShapeError: The array has another shape.
             ParameterError: Values are no numbers, or no whole numbers for such a field; or they are
                 stresses of points that have moved.
         """
+        if name != "stress":
+            self._set(name, values)
+            return
+        # points of one rank alone may have moved, or may be fewer than the values
+        check_same_call(self.comm, "setting points['stress']")
+        call_together(self.comm, lambda: self._set(name, values))
+
+    def _set(self, name: str, values: npt.ArrayLike) -> None:
         target = self[name]
         if name == "cell":
             raise ParameterError(
                 "'cell' cannot be set: it follows from the positions. Set points['x'], and call "
                 "points.locate()"
             )
-        if name == "stress" and np.isin(self.fields.read("moved_under"), _OF_STRAIN).any():
+        if name == "stress" and np.isin(self.fields.read("moved_under"), OF_STRAIN).any():
             raise ParameterError(
                 "'stress' cannot be set any more: the points have moved, and the next step "
                 "computes it from their strain. Call mpm.set_stress(law, points, stress)"

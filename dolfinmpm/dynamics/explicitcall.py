@@ -10,6 +10,7 @@ from typing import Any
 from dolfinmpm._platform import petscgarbage, stages
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm.body.loadbalance import balance, imbalance
+from dolfinmpm.body.resultfields import overwritten, seal_results, unseal_results
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time
 from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.faces import set_velocities
@@ -84,7 +85,9 @@ class ExplicitCall:
         problem._check_still_valid()
         touched = memory.touched(problem.points)
         if touched:
-            raise_together(problem.comm, problem.points.fault())
+            points = problem.points
+            raise_together(problem.comm, points.fault() or overwritten(points))
+        unseal_results(problem.points)
         adapted = adapt(problem)
         self._record.split, self._record.merged = adapted.split, adapted.merged
         if adapted.split or adapted.merged:
@@ -164,6 +167,7 @@ class ExplicitCall:
         record.imbalance = imbalance(problem.points)
         record.bodies = problem.bodies.record()
         self._loop.release()
+        seal_results(problem.points)
         memory.moment, memory.single = problem.points.fields.moment(), record.parts == 1
 
     def _check_speeds(self, dt: float) -> None:

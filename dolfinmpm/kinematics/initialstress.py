@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm.body.resultfields import seal_stress
 from dolfinmpm.grid.userfunctions import call_function
 from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
 from dolfinmpm.kinematics.strainhistory import GIVEN, MARKS
@@ -148,6 +149,7 @@ def write_stress(
         _derive(formulation, rows)
     points["stress"][rows] = sigma
     points["moved_under"][rows] = MARKS[formulation.strain] + GIVEN
+    seal_stress(points)
 
 
 def take_stress(formulation: StrainFormulation, law: str) -> None:

@@ -17,6 +17,7 @@ from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.body.resultfields import seal_results, unseal_results
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.lattice import largest_cell
@@ -139,6 +140,7 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     Returns:
         Number of points that changed rank.
     """
+    unseal_results(points)
     for name, values in state.fields.items():
         points.fields[name][...] = values
     for markers, fields, to in state.beside:
@@ -146,7 +148,9 @@ def commit(points: MaterialPoints, state: NewState) -> int:
             markers.fields[name][...] = values
         if to is not None:
             markers.migrate(to)
-    return 0 if state.to is None else points.migrate(state.to) + balance(points)
+    migrated = 0 if state.to is None else points.migrate(state.to) + balance(points)
+    seal_results(points)
+    return migrated
 
 
 def _domains(operator: Operator, F: Array) -> Array:

@@ -19,6 +19,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.resultfields import overwritten
 from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
@@ -277,6 +278,7 @@ class QuasiStatic(Problem):
 
     def _follow_leaves(self) -> None:
         """Let the points follow the leaves, and record it. Collective."""
+        raise_together(self.comm, overwritten(self.points))
         adapted = adapt(self)
         self._record.split, self._record.merged = adapted.split, adapted.merged
 

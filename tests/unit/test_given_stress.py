@@ -9,7 +9,7 @@ from dolfinx import mesh
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError, StateError
-from dolfinmpm.body.pointtable import _OF_STRAIN
+from dolfinmpm.body.resultfields import OF_STRAIN
 from dolfinmpm.kinematics.strainhistory import MARKS, UMAT
 
 LAW = mpm.materials.Hencky(1e4, 0.3)
@@ -186,4 +186,4 @@ def test_exponential_elasticity():
 
 def test_points_know_which_marks_are_of_strains():
     """The folder of the points cannot import the marks of the formulations."""
-    assert {mark for name, mark in MARKS.items() if name != UMAT} == set(_OF_STRAIN)
+    assert {mark for name, mark in MARKS.items() if name != UMAT} == set(OF_STRAIN)

@@ -146,6 +146,11 @@ def test_a_stress_of_the_user_s_own_stays():
     problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"), stabilisation="aggregation")
     problem.step()
     assert (points["stress"] == 0).all()
+    x = points["x"].copy()
+    points["stress"][:, 1, 1] = 1.0
+    problem.step()
+    assert (points["stress"][:, 1, 1] == 1.0).all()
+    assert np.abs(points["x"] - x).max() > 1e-6
     points, V = body()
     u, v = V.increment, V.test
     own = ufl.as_tensor([[7.0 * (i == j) for j in range(3)] for i in range(3)])

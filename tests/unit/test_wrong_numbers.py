@@ -266,6 +266,31 @@ def test_a_stress_that_follows_from_the_strain_is_not_set():
         points["stress"] = -np.eye(3)
 
 
+@pytest.mark.parametrize("rule", [mpm.QuasiStatic, mpm.Newmark, mpm.Explicit])
+def test_volumes_and_stresses_of_single_points_are_not_set(rule):
+    points, arguments = settling()
+    problem = rule(*arguments)
+    step = problem.step if rule is mpm.QuasiStatic else lambda: problem.step(problem.time + 1e-3)
+    points["V"][1] *= 2.0
+    with pytest.raises(ParameterError, match=r"'V'\] of point 1 .* set to 0\.125 .*= 0\.0625 \(1 "):
+        step()
+    # a first volume that fits to the new one
+    points["V0"][1] *= 2.0
+    step()
+    V, stress = points["V"].copy(), points["stress"].copy()
+    points["V"][0] *= 1.01
+    with pytest.raises(ParameterError, match=r"set points\['V0'\] too, before the first step"):
+        step()
+    points["V"] = V
+    points["stress"][0, 0, 0] += 1.0
+    with pytest.raises(ParameterError, match=r"changed by hand .*mpm\.set_stress\(law, points"):
+        step()
+    points["stress"][:] = stress
+    step()
+    mpm.set_stress(LAW, points, -np.eye(3))
+    step()
+
+
 @pytest.mark.parametrize("rule", [mpm.Newmark, mpm.Explicit])
 def test_velocities_are_numbers(rule):
     points, arguments = settling()

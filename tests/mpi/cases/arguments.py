@@ -71,12 +71,22 @@ def of_one_rank():
     text = _ends(lambda: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0,
                                         increment=lambda x: np.nan if last else 0.0))  # fmt: skip
     assert "must be finite" in text
+    # stresses that are too few on one rank, or changed there only
+    own = len(s.points)
+    text = _ends(lambda: s.points.__setitem__("stress", np.zeros((own + last, 3, 3))))
+    assert "field 'stress' should have shape" in text
     # a function that is not a number on one rank
     f = fem.Function(s.S.function_space, name="pressure")
     problem = s.solver(form=s.F - f * s.v[0] * s.points.dX)
     f.x.array[:] = np.nan if last else 0.0
     assert "function pressure is not finite in the term" in _ends(problem.step)
     f.x.array[:] = 0.0
+    problem = s.solver()
+    problem.step()
+    one = s.points["id"] == 0
+    s.points["V"][one] *= 2.0
+    assert "the next step computes it as det(F) V0" in _ends(problem.step)
+    s.points["V"][one] /= 2.0
     # rank 0 warns, once
     idle = [*s.bcs, *mpm.rollers(s.V, "right", "top")]
     s.g.value[:] = 0.0, -1e-3
