@@ -143,7 +143,7 @@ class DolfinMPMWarning(UserWarning):
 
 
 class IdleConditionWarning(DolfinMPMWarning):
-    """An essential condition constrains no active node."""
+    """A condition or a load acts on no part of the body."""
 
 
 class FreeAxisWarning(DolfinMPMWarning):

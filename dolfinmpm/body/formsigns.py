@@ -7,6 +7,7 @@ writes in UFL is subtracted: F -= ufl.inner(points.density * g, v) * points.dX.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import ufl
@@ -28,11 +29,13 @@ class SignMark:
         name: Name of the form in messages.
         integrand: Integrand with its original sign.
         once: Whether a weak form may contain the form only once.
+        kind: What must differ between forms of the same name, if a form may have several.
     """
 
     name: str
     integrand: Expr
     once: bool = False
+    kind: Hashable = None
 
     def __repr__(self) -> str:
         return self.name
@@ -43,7 +46,13 @@ class SignMark:
         return ""
 
 
-def signed_form(integrand: Expr, measure: ufl.Measure, name: str, once: bool = False) -> ufl.Form:
+def signed_form(
+    integrand: Expr,
+    measure: ufl.Measure,
+    name: str,
+    once: bool = False,
+    kind: Hashable = None,
+) -> ufl.Form:
     """A form with a mark, to be added to the weak form.
 
     Args:
@@ -51,8 +60,9 @@ def signed_form(integrand: Expr, measure: ufl.Measure, name: str, once: bool = F
         measure: The measure.
         name: Name of the form in messages.
         once: Whether a weak form may contain the form only once.
+        kind: See `SignMark`.
     """
-    mark = SignMark(name, integrand, once)
+    mark = SignMark(name, integrand, once, kind)
     return integrand * measure.reconstruct(metadata={**measure.metadata(), MARK: mark})
 
 

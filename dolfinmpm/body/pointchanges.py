@@ -12,9 +12,11 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import (
     FieldShapeError,
+    IdleConditionWarning,
     ParameterError,
     call_together,
     raise_together,
+    warn,
 )
 from dolfinmpm.body.loadbalance import beside
 from dolfinmpm.body.overlapchecks import check_room_of_both
@@ -110,9 +112,35 @@ def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
             f"all {points.total} points would be removed, and no body would be left; remove fewer"
         )
     if change.count:
+        before = _faces(points)
         points.fields.update({name: a[~going] for name, a in points.fields.items()})
         _changed(points)
+        _warn_of_lost_faces(points, before)
     return change
+
+
+def _faces(points: MaterialPoints) -> dict[str, float]:
+    """Areas of the surfaces of the points by name (m^(d-1)). Collective."""
+    names = sorted(n.removesuffix("_area") for n in points.fields if n.endswith("_area"))
+    names = [name for name in names if f"{name}_offset" in points.fields]
+    here = [float(np.abs(points.fields.read(f"{name}_area")).sum()) for name in names]
+    if not names:
+        return {}
+    return dict(zip(names, points.comm.allreduce(np.array(here), op=MPI.SUM)))
+
+
+def _warn_of_lost_faces(points: MaterialPoints, before: dict[str, float]) -> None:
+    """Warn of surfaces that had faces before, and have none now. Collective."""
+    now = _faces(points)
+    lost = [name for name, area in before.items() if area and not now[name]]
+    if lost:
+        warn(
+            points.comm,
+            f"all faces of the surface{'s' * (len(lost) > 1)} {', '.join(map(repr, lost))} went "
+            "with the points that were removed: loads and conditions there act on nothing; make "
+            "the surface on the points that are left, and a new problem",
+            IdleConditionWarning,
+        )
 
 
 def _changed(points: MaterialPoints) -> None:

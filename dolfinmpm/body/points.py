@@ -352,7 +352,7 @@ class MaterialPoints(PointTable):
     ) -> PointChange:
         """Remove points, between steps. Collective.
 
-        Problems with these points continue with the remaining points.
+        Problems continue with the other points. IdleConditionWarning tells of lost surfaces.
 
         Args:
             where: Points to remove: a function of present positions (m), shape (gdim, n), that

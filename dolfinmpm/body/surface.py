@@ -269,6 +269,8 @@ class Surface:
     def force(self, P, v) -> ufl.Form:
         """Form of a dead force, spread evenly over the surface; add it to the weak form.
 
+        Points that are removed take the share of their faces with them.
+
         Args:
             P: Force (N; N/m in plane strain), a vector as for `traction`.
             v: Test function, `Space.test`.

@@ -22,7 +22,7 @@ from dolfinmpm.body.formarguments import (
     check_points,
     check_test,
 )
-from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.formsigns import FACETS, signed_form
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.grid.constants import own_constant
@@ -203,7 +203,10 @@ def ghost(
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's
         return jumps * facets
-    return signed_form(jumps, facets, "the ghost penalty (mpm.ghost)")
+    # two of one order add up; of a stiffness and of a mass they differ in their scaling
+    kind = order, scaling, facets.metadata()[FACETS], id(u)
+    name = "the ghost penalty (mpm.ghost)"
+    return signed_form(jumps, facets, name, once=True, kind=kind)
 
 
 def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: float) -> ufl.Form:

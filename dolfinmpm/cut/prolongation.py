@@ -35,7 +35,7 @@ def own_matrix(function: Callable[[], Any], size: int, comm: MPI.Comm) -> sparse
         comm: Communicator.
 
     Raises:
-        ParameterError: The function fails, or returns something else.
+        ParameterError: The function fails, or returns something else, or zeros on all ranks.
     """
     from scipy import sparse
 
@@ -56,7 +56,14 @@ def own_matrix(function: Callable[[], Any], size: int, comm: MPI.Comm) -> sparse
             )
         return C
 
-    return call_together(comm, made)
+    C = call_together(comm, made)
+    entries, nodes = comm.allreduce(np.array([np.count_nonzero(C.data), size]), op=MPI.SUM)
+    if nodes and not entries:
+        raise ParameterError(
+            f"prolongation returned zeros for all {nodes} nodes, which would hold the whole body: "
+            "the row of an independent node has a 1 in its own column"
+        )
+    return C
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -45,12 +45,14 @@ class CarriedField(PointField):
             The unknowns in the expression belong to this level, and its value belongs to the end
             of the step. 1 except for generalised-α methods.
         bounds: Limits of the values, which must lie strictly between them, or None.
+        gravity: Acceleration (m/s²) whose weight of this density is in the terms, or None.
     """
 
     update: Expr
     of: Expr | None = None
     level: float = 1.0
     bounds: tuple[float, float] | None = None
+    gravity: Expr | None = None
 
 
 class CellOffset(PointField):

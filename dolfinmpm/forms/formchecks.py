@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from dolfinmpm.body.formsigns import MARK
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.weightchecks import check_weights
 
 __all__ = ["check_fields", "check_form", "check_laws", "check_levels", "check_signs"]
 
@@ -34,9 +35,10 @@ def check_form(form: Any) -> None:
         form: The weak form, as the user wrote it.
 
     Raises:
-        FormError: The form is no UFL form; has no terms; has a footing twice; has a trial function;
-            has an unrestricted term on inner facets; adds a load; subtracts a term that resists
-            the motion; or has a number that is complex or not finite.
+        FormError: The form is no UFL form; has no terms; has a footing, a ghost penalty or the
+            weight of a mixture twice; has a trial function; has an unrestricted term on inner
+            facets; adds a load; subtracts a term that resists the motion; or has a number that is
+            complex or not finite.
     """
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {_not_a_form(form)}")
@@ -49,6 +51,7 @@ def check_form(form: Any) -> None:
             "Space.test as test function: the solver derives the tangent itself"
         )
     check_signs(form)
+    check_weights(form)
     for integral in form.integrals():
         _check_numbers(integral.integrand())
         if integral.integral_type() == "interior_facet":
@@ -129,14 +132,14 @@ def check_signs(form: ufl.Form) -> None:
     Raises:
         FormError: A term has the wrong sign, or is in the form twice but may be there only once.
     """
-    seen: set[str] = set()
+    seen: set[tuple[str, Hashable]] = set()
     for integral in form.integrals():
         acting = (integral.metadata() or {}).get(MARK)
         if acting is None:
             continue
-        if acting.once and acting.name in seen:
+        if acting.once and (acting.name, acting.kind) in seen:
             raise FormError(f"the form has {acting.name} twice: leave one out")
-        seen.add(acting.name)
+        seen.add((acting.name, acting.kind))
         sign = _factor(integral.integrand(), acting.integrand)
         if sign is not None and sign < 0:
             raise FormError(

@@ -116,7 +116,7 @@ def poromechanics(
             the points.
         fluid: The fluid, water by default.
         gravity: Acceleration b of both phases (m/s²), a vector for UFL such as a DOLFINx
-            constant; None for no gravity.
+            constant; None for no gravity. It has the weight of the mixture: subtract no other.
         theta: Weight of the flow at the end of the step: 1 is backward Euler, ½ is Crank-Nicolson.
         rho_inf: ρ∞ of `GeneralisedAlpha`; give both the same number. The balance of the water's
             volume then uses the generalised-α method for first-order equations, at the level at
@@ -223,7 +223,9 @@ def poromechanics(
         refuse_hollow(points, fluid, n0, as_tags(tag))
         terms -= (points.density + at.growth * water) * ufl.dot(b, v)
         mass = points.density + end.growth * water
-        keeps.append(carried(points, "density", mass, unit="kg/m^d"))
+        heavy = carried(points, "density", mass, unit="kg/m^d")
+        heavy.gravity = b
+        keeps.append(heavy)
     if factor := factor_of(projection, u, p):
         terms += _projection(through, factor, theta, level, end, keeps)
     keeps.append(pressure)

@@ -6,12 +6,15 @@ import warnings
 
 import numpy as np
 import pytest
+import ufl
 from conftest import unit_grid
+from dolfinx import fem
 from test_nested_pressure import nested
 from test_poromechanics import LAW, block, held, problem_of
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import (
+    FormError,
     ParameterError,
     UndeterminedFieldError,
     UnstablePairWarning,
@@ -91,3 +94,22 @@ def test_a_pair_of_equal_order_without_projection_is_told():
         nested(projection="none")
     with pytest.warns(UnstablePairWarning, match="coarsen=2, or of twice the size"):
         nested(1, coarse="u")
+
+
+def test_a_weight_beside_the_weight_of_the_mixture_is_refused():
+    g = (0.0, -9.81)
+    F, points, V, Q, _ = block(height=1.0, gravity=g, tag=0)
+
+    def with_weight(acceleration, dX=points.dX):
+        more = ufl.inner(points.density * acceleration, V.test) * dX
+        return problem_of(F - more, points, V, Q)
+
+    for again in (ufl.as_vector(g), fem.Constant(points.grid, g)):
+        for dX in (points.dX, points.dX(0)):
+            with pytest.raises(FormError, match=r"weight of the mixture is in the form twice"):
+                with_weight(again, dX)
+    # the acceleration of an earthquake, and the weight of what is not saturated
+    points["tag"][:1] = 1
+    F += mpm.momentum(LAW, points, V.increment, V.test, tag=1)
+    with_weight(fem.Constant(points.grid, (1.0, 0.0)))
+    assert with_weight(ufl.as_vector(g), points.dX(1)).form.points is points

@@ -10,9 +10,15 @@ import pytest
 import ufl
 from conftest import COMM
 from dolfinx import fem, mesh
+from scipy import sparse
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DegreesWarning, FormError, ParameterError
+from dolfinmpm._platform.errors import (
+    DegreesWarning,
+    FormError,
+    IdleConditionWarning,
+    ParameterError,
+)
 from dolfinmpm.study import observed_orders, overall_order
 
 LAW = mpm.materials.Hencky(1e4, 0.3)
@@ -320,6 +326,37 @@ def test_a_surface_of_which_a_part_is_removed():
     right = (points["x0"][:, 0] > 0.5) & (points["x0"][:, 1] > 0.75)
     points.remove(lambda x: x[0] < 0.5)
     assert top.mean_displacement()[1] == pytest.approx(before[right].mean(), rel=1e-12)
-    points.remove(lambda x: x[1] > 0.6)
+    with pytest.warns(IdleConditionWarning, match="all faces of the surface 'surface1' went"):
+        points.remove(lambda x: x[1] > 0.6)
+    # it is told once
+    points.remove(lambda x: x[1] > 0.4)
     with pytest.raises(ParameterError, match=r"no point of the surface .* is left"):
         top.mean_displacement()
+
+
+# -- twice -------------------------------------------------------------------------
+
+
+def test_two_ghost_penalties_of_one_kind():
+    points, (F, u, _, bcs) = settling()
+    v = u._dolfinmpm_space.test
+    one = mpm.ghost(points, u, v, gamma=300.0)
+    with pytest.raises(FormError, match=r"the ghost penalty \(mpm\.ghost\) twice: leave one out"):
+        mpm.QuasiStatic(F + one + mpm.ghost(points, u, v, factor=1.0), u, points, bcs)
+    # of another order, and of a mass
+    F += one + mpm.ghost(points, u, v, gamma=300.0, order=2)
+    F += mpm.ghost(points, u, v, gamma=250.0, scaling="literal")
+    mpm.QuasiStatic(F, u, points, bcs).step()
+    assert np.isfinite(points["x"]).all()
+
+
+def test_a_prolongation_of_zeros():
+    points, arguments = settling()
+
+    def nothing(stencils, nodes):
+        n = points.grid.geometry.x.shape[0]
+        return sparse.csr_matrix((n, n))
+
+    problem = mpm.QuasiStatic(*arguments, prolongation=nothing)
+    with pytest.raises(ParameterError, match="zeros for all 25 nodes, which would hold the whole"):
+        problem.step()

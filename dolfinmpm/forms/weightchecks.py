@@ -1,0 +1,90 @@
+"""Weights that a form has twice: by `mpm.poromechanics(gravity=...)`, and by another term."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl.algorithms import extract_arguments, extract_coefficients
+from ufl.algorithms.analysis import extract_constants
+from ufl.classes import ListTensor, ScalarValue, Zero
+from ufl.core.expr import Expr
+from ufl.corealg.traversal import unique_pre_traversal
+
+from dolfinmpm._platform.errors import FormError
+from dolfinmpm.body.fields import PointField
+from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
+from dolfinmpm.forms.termqueries import brief, tags_of
+
+__all__ = ["check_weights"]
+
+Array = npt.NDArray[np.float64]
+
+
+def check_weights(form: ufl.Form) -> None:
+    """Refuse a second weight of a mixture whose form has its weight.
+
+    A term with the field `density` is a second weight if it has the same constants, or the same
+    numbers, as `gravity`. Other accelerations, such as those of an earthquake, are allowed.
+
+    Args:
+        form: Weak form, as the user wrote it.
+
+    Raises:
+        FormError: The weight is there twice at some points.
+    """
+    heavy = [(i, field) for i in form.integrals() for field in _with_gravity(i)]
+    for mixture, field in heavy:
+        for integral in form.integrals():
+            if integral is mixture or not _same_points(mixture, integral):
+                continue
+            term = integral.integrand()
+            if extract_arguments(term) and _has_density(term) and _same_acceleration(field, term):
+                raise FormError(
+                    f"the weight of the mixture is in the form twice: by mpm.poromechanics("
+                    f"gravity=...), and by '{brief(term)}'; leave one out"
+                )
+
+
+def _with_gravity(integral: ufl.Integral) -> Iterator[CarriedField]:
+    for field in (integral.metadata() or {}).get(CARRIED, ()):
+        if getattr(field, "gravity", None) is not None:
+            yield field
+
+
+def _same_points(a: ufl.Integral, b: ufl.Integral) -> bool:
+    """Whether some points integrate both terms."""
+    number = (a.metadata() or {}).get("points")
+    if number is None or (b.metadata() or {}).get("points") != number:
+        return False
+    first, second = tags_of(a), tags_of(b)
+    return first is None or second is None or bool(set(first) & set(second))
+
+
+def _has_density(term: Expr) -> bool:
+    return any(
+        isinstance(c, PointField) and c.name == "density" for c in extract_coefficients(term)
+    )
+
+
+def _same_acceleration(field: CarriedField, term: Expr) -> bool:
+    """Whether a term has the constants, or the numbers, of a gravity."""
+    own, other = extract_constants(field.gravity), extract_constants(term)
+    if any(a is b for a in own for b in other):
+        return True
+    wanted = [g for g in _vectors(field.gravity) if g.any()]
+    return any(np.array_equal(g, found) for g in wanted for found in _vectors(term))
+
+
+def _vectors(expression: Expr) -> Iterator[Array]:
+    """Values of the constant vectors in an expression now."""
+    for node in unique_pre_traversal(expression):
+        if isinstance(node, fem.Constant) and len(node.ufl_shape) == 1:
+            yield np.asarray(node.value, float)
+        if isinstance(node, ListTensor) and all(
+            isinstance(part, (ScalarValue, Zero)) for part in node.ufl_operands
+        ):
+            yield np.array([float(part) for part in node.ufl_operands])
