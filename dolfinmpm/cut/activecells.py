@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
@@ -209,12 +209,15 @@ def entities(
     tables = ghost_facets(grid) if GHOST_FACETS in moving else None
     if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
         found[GHOST_FACETS] = tables.select_coarse(cells, empty, basis)
-    if basis.grid_cells is not None:
-        cells, empty = cells[basis.grid_cells], empty[basis.grid_cells]
+    # without a partition, the basis knows further cells behind those of DOLFINx's mesh
+    cell_map = grid.topology.index_map(grid.topology.dim)
+    known: Any = slice(cell_map.size_local + cell_map.num_ghosts)
+    of_mesh = known if basis.grid_cells is None else basis.grid_cells
+    cells, empty = cells[of_mesh], empty[of_mesh]
     if tables is not None and GHOST_FACETS not in found:
         found[GHOST_FACETS] = tables.select(cells, empty)
     if ACTIVE_CELLS in moving:
-        owned = np.flatnonzero(cells[: grid.topology.index_map(grid.topology.dim).size_local])
+        owned = np.flatnonzero(cells[: cell_map.size_local])
         found[ACTIVE_CELLS] = owned.astype(np.int32)
     return found
 

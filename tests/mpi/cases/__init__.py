@@ -50,6 +50,7 @@ CASES = {
         stabilisations.stabilisations_linear,
         stabilisations.stabilisations_triangles,
         stabilisations.stabilisations_bspline2,
+        stabilisations.facets_of_even_ranks,
         stabilisations.facets_of_few_ranks,
         stabilisations.soft_leaves,
         stabilisations.splines_on_leaves,
