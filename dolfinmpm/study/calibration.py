@@ -187,6 +187,11 @@ def calibrate(
     r, slopes, figures = residuals.run(found.x)
     fit = _judged(residuals, found, r, slopes, figures, data, confidence)
     fit.notes += _ends(residuals, found.x, r, slopes, limits)
+    if found.status == 0:
+        fit.notes.append(
+            f"the best of max_runs = {max_runs} runs, and no best fit: intervals do not hold; give "
+            "more runs, a better start, or a larger tolerance"
+        )
     return fit
 
 
@@ -221,8 +226,8 @@ def _measurements(
         fits = given.ndim == 0 or given.shape == values.shape
         if not (fits and (given >= 0).all() and np.isfinite(given).all()):
             raise ParameterError(
-                f"weights['{name}'] must be zero or positive, a number or an array of the shape "
-                f"{values.shape} of the measurements"
+                f"weights['{name}'] = {shown(given)} must be zero or positive, a number or an "
+                f"array of the shape {values.shape} of the measurements"
             )
         scaled[name] = np.broadcast_to(given, values.shape)
     if scaled and all(w.size and not w.any() for w in scaled.values()):
@@ -247,6 +252,11 @@ def _limits(
         if pair.shape != (2,):
             raise ParameterError(f"bounds['{name}'] = {shown(ends)} must be (least, largest)")
         least, most = (number(f"bounds['{name}']", float(end)) for end in pair)
+        if not least < most:
+            raise ParameterError(
+                f"bounds['{name}'] = ({least:g}, {most:g}) must be (least, largest), with the "
+                "least below the largest"
+            )
         if not least < start[name] < most:
             raise ParameterError(
                 f"the start {name} = {start[name]:g} must be between its bounds {least:g} and "

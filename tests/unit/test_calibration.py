@@ -195,6 +195,8 @@ def test_ends_of_parameters_are_told():
         ({"E": 1e4}, {"y": [1.0]}, {"weights": {"y": np.inf}}, "must be zero or positive"),
         ({"E": 1e4}, {"y": [1.0]}, {"weights": 2.0}, "must be a dictionary of numbers"),
         ({"E": 1e4}, {"y": [1.0]}, {"bounds": 2.0}, "must be a dictionary of pairs"),
+        ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"E": (2e4, 1e3)}}, "least below the largest"),
+        ({"E": 1e4}, {"y": [1.0]}, {"weights": {"y": -2.0}}, r"\['y'\] = .*-2.* zero or positive"),
         ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"E": 1.0}}, "must be .least, largest."),
         ({"E": 1e4}, {"y": [1.0]}, {"progress": 1}, "progress"),
         ({"E": 1e4}, {"y": [np.nan]}, {}, "0 measurements cannot tell 1 parameters"),
@@ -207,3 +209,17 @@ def test_bad_measurements(start, measured, options, message):
 
     with pytest.raises(ParameterError, match=message):
         study.calibrate(elastic, start, measured, **options)
+
+
+def test_runs_that_end_before_the_best_fit():
+    y = [np.exp(0.3 * k) for k in range(1, 7)]
+
+    def grown(m, step):
+        return np.exp(m["a"] * step)
+
+    few = study.calibrate(of_steps(grown), {"a": 1.0}, {"y": y}, max_runs=2)
+    assert "the best of max_runs = 2 runs, and no best fit" in few.notes[-1]
+    assert "max_runs" in str(few)
+    enough = study.calibrate(of_steps(grown), {"a": 1.0}, {"y": y})
+    assert enough.parameters["a"] == pytest.approx(0.3, rel=1e-6)
+    assert not any("max_runs" in note for note in enough.notes)
