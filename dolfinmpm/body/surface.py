@@ -4,7 +4,7 @@ Material points are inside the body, and the faces of the body are not. A load a
 of the face would have the right force and a wrong moment. A point at a face therefore keeps the
 initial offset R of the face from its centre, and the initial area vector A0 of the face (area times
 outward normal). The point's stencil then gives the motion of the face to first order,
-u(x_s) = u + ∇ũ·r with r = F_n R.
+u(x_s) = u + ∇ũ·r with r = F_n R. Splines are curved: give their loads on a `Boundary` instead.
 
 Loads are added to the internal forces, as is the contact of a `RigidFooting`:
 F = momentum(...) + surface.traction(t, v) + footing.contact(u, v); see `dolfinmpm.body.formsigns`.

@@ -121,7 +121,8 @@ def differentiate(
             a run that begins later cannot leave them out.
         epsilon: Perturbation of a parameter, as a share of Δm: by default 8e-8, and 1e-6 for two
             runs per parameter. With a `RigidFooting` it is 1e-5, because few digits of its load
-            are known.
+            are known. Positions x are rounded, so that derivatives of a motion u have errors of
+            some 1e-16 |x| / (ε |u|): for tiny motions take central=True, and 1e-5.
         estimate: Whether to estimate errors by a second perturbation, 8 times as large, in twice
             the time of two runs per parameter. A derivative that does not exist differs from one
             perturbation to another.

@@ -257,6 +257,32 @@ class Reliability:
         axes.set_xlabel(f"share of the variance; β = {self.beta:.3f}")
 
 
+def _first_guess(back: Any, normal: Array, limit: str, value: float) -> Any:
+    """Values of the parameters at a point of standard normal space.
+
+    Args:
+        back: Transformation of OpenTURNS to values of the parameters.
+        normal: The point, shape (p,).
+        limit: Name of the figure.
+        value: Its value at the medians.
+
+    Raises:
+        ConvergenceError: The point is out of reach of the distributions.
+    """
+    try:
+        guess = back(openturns().Point(normal))
+        reached = np.isfinite(np.array(guess)).all()
+    except RuntimeError:
+        reached = False
+    if not reached:
+        raise ConvergenceError(
+            f"limit = '{limit}' is {value:g} at the medians, and by its slope there failure is "
+            f"{float(np.linalg.norm(normal)):.3g} standard deviations away, out of reach of the "
+            "distributions: check units and sign of the figure, which is below zero at failure"
+        )
+    return guess
+
+
 def reliability(
     scene: Scene,
     distributions: Mapping[str, Any],
@@ -318,7 +344,7 @@ def reliability(
     if square == 0.0:
         raise ParameterError(f"limit = '{limit}' depends on none of {', '.join(distributions)}")
     ask = ot.AbdoRackwitz()
-    ask.setStartingPoint(back(ot.Point(-value / square * slope)))
+    ask.setStartingPoint(_first_guess(back, -value / square * slope, limit, value))
     for name in ("IterationNumber", "CallsNumber"):
         setter = getattr(ask, f"setMaximum{name}", None)
         if setter is not None:

@@ -280,3 +280,28 @@ def test_a_side_that_only_markers_reach_holds_nothing(stabilisation, basis):
         assert mpm.study.condition_number(problem.stiffness()) < 1e6
         found.append(points["x"])
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("basis", ["linear", "gimp", "bspline2", "bspline3"])
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation"])
+def test_uniform_pressure_on_a_face_inside_cells(basis, stabilisation):
+    """The stress is uniform; by a `Surface` it is so with linear functions and GIMP only."""
+    size, top, p = 4.0, 4.3, 1e3
+    for kind in ("boundary", "surface"):
+        grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(7.0)] * 2)
+        points = mpm.fill(grid, mpm.Box((0, 0), (size, top)), 2, 1.0)
+        V = mpm.Space(grid, basis)
+        u, v = V.increment, V.test
+        if kind == "boundary":
+            face = mpm.Boundary.from_polygon(points, [(size, top), (0, top)], closed=False)
+        else:
+            face = mpm.Surface(points, lambda x: np.isclose(x[1], top), (0, 1))
+        F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v, strain="small")
+        F += face.traction((0.0, -p), v)
+        bcs = mpm.rollers(V, "left", "bottom")
+        mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation).step()
+        error = np.abs(points["stress"][:, 1, 1] + p).max() / p
+        if kind == "boundary" or basis in ("linear", "gimp"):
+            assert error < 1e-10
+        else:
+            assert 1e-3 < error < 0.1

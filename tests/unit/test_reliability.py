@@ -315,3 +315,12 @@ def test_places_have_the_dimension_of_the_box():
                 field.at(np.zeros(shape), xi)
     with pytest.raises(ParameterError, match="x = 'here' must be numbers"):
         line.at("here", xi)
+
+
+def test_a_limit_that_is_never_reached(openturns):
+    given = {"E": study.LogNormal(1e6, 0.1)}
+    match = r"'margin' is 9.99005e\+08 at the medians, .* 1.01e\+04 standard deviations away"
+    with pytest.raises(ConvergenceError, match=match):
+        study.reliability(planned(lambda m: 1e9 - m["E"]), given)
+    with pytest.raises(ParameterError, match="limit = 'margin' depends on none of E"):
+        study.reliability(planned(lambda m: 1e9), given)
