@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import file_path, whole
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_together
@@ -63,6 +64,9 @@ class Savepoints:
         comm = self._base.comm
         return comm.bcast(call_together(comm, action if comm.rank == 0 else lambda: None))
 
+    def _largest(self, value: float) -> float:
+        return float(self._base.comm.allreduce(value, op=MPI.MAX))
+
     def _archives(self, taken: int) -> list[tuple[Problem, Path]]:
         """All problems with the paths of their archives after some steps."""
         runs = [self._base, *(m for pairs in self._sets for pair in pairs for m in pair.members)]
@@ -93,6 +97,7 @@ class Savepoints:
             "taken": taken,
             "members": [[len(pair.members) for pair in pairs] for pairs in self._sets],
             "out": [[pair.out for pair in pairs] for pairs in self._sets],
+            "moved": [[self._largest(pair.moved) for pair in pairs] for pairs in self._sets],
             "notes": [[pair.notes for pair in pairs] for pairs in self._sets],
             "figures": _plain(figures),
             "derivatives": _plain(found),
@@ -131,9 +136,11 @@ class Savepoints:
                 f"restart = '{self._folder}' has {taken} steps, and this run takes {steps}: give a "
                 "folder of its own, or remove the old one"
             )
-        kept = zip(self._sets, index["members"], index["out"], index["notes"])
-        for pairs, members, out, notes in kept:
-            for pair, number, one, known in zip(pairs, members, out, notes):
+        index.setdefault("moved", [[0.0] * len(pairs) for pairs in self._sets])
+        kept = (index[name] for name in ("members", "out", "notes", "moved"))
+        for pairs, *of_pairs in zip(self._sets, *kept):
+            for pair, number, one, known, moved in zip(pairs, *of_pairs):
+                pair.moved = moved
                 pair.notes = {what: list(at) for what, at in known.items()}
                 pair.go_on(number, taken, one)
         self._base.leave_out(taken)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth, whole
 from dolfinmpm._platform.errors import ParameterError
@@ -35,6 +36,8 @@ _FOOTING = 1e-5
 # Ratio of the second perturbation of an estimate to the first one, and the estimated error from
 # which a derivative is doubtful
 _SECOND, _DOUBTFUL = 8.0, 1e-3
+# Share of the changes of positions by the perturbation that is told as lost in their rounding
+_LOST = 1e-5
 # Least perturbation as a share of the parameter: the rounding of figures, 1e-16 of them or more,
 # is then at most 1e-4 of their derivatives by ln m
 _LEAST = 1e-12
@@ -216,6 +219,7 @@ def differentiate(
         {k: np.array(values) for k, values in figures.items()},
         {k: {m: np.array(v) for m, v in by.items()} for k, by in found[0].items()},
         [text for pair in sets[0] for text in pair.told()]
+        + _rounded(base, sets[0])
         + [_doubt(m, e) for m, e in errors.items() if e > _DOUBTFUL],
         errors, seconds,
     )  # fmt: skip
@@ -268,6 +272,28 @@ def _followed(
         for one in pairs:
             one.finish()
     return figures, found
+
+
+def _rounded(base: FollowedRun, pairs: Sequence[FollowingRuns]) -> list[str]:
+    """Note about changes of positions that are lost in their rounding. Collective.
+
+    Args:
+        base: The run.
+        pairs: The runs that follow.
+    """
+    x = [problem.points.fields.read("x") for problem in base.problems]
+    place = max(float(np.abs(one).max(initial=0.0)) for one in x)
+    moved = max(pair.moved for pair in pairs)
+    place, moved = base.comm.allreduce(np.array([place, moved]), op=MPI.MAX)
+    lost = np.finfo(float).eps * place
+    # without any motion, no figure hangs on rounded motions
+    if not moved or lost <= _LOST * moved:
+        return []
+    return [
+        f"positions up to {place:.3g} m are rounded to {lost:.1g} m, and the perturbation changes "
+        f"them by {moved:.1g} m: derivatives may have errors of {lost / moved:.0e}; larger "
+        "perturbations have more digits, such as central=True with epsilon=1e-5"
+    ]
 
 
 def _epsilon(base: FollowedRun, both: bool) -> float:

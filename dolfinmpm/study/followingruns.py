@@ -117,6 +117,12 @@ class FollowingRuns:
         epsilon: The perturbation ε.
         both: Whether both runs begin at once.
         tape: Solutions of the run at m.
+
+    Attributes:
+        name, epsilon: The arguments.
+        members, readers: The runs, and their readers of the tape.
+        moved: Largest change of a position on this rank by the perturbation (m), or ε times the
+            largest displacement, if this is larger.
     """
 
     def __init__(
@@ -126,6 +132,7 @@ class FollowingRuns:
         self.name, self.epsilon = name, epsilon
         self._make, self._tape = make, tape
         self._even = min(_CURVED * epsilon, _EVEN) if both else 0.0
+        self.moved = 0.0
         self.members: list[FollowedRun] = []
         self.readers: list[Reader] = []
         # number of the run that could not be set to the mirror image of the other one
@@ -185,9 +192,20 @@ class FollowingRuns:
             self.members[1].leave_out(base.taken - 1)
             self._mirror(before, own, 1)
             leaves.append(self._follow(base, 1, marks))
+        self._note_motion(base)
         derivatives = self._differences(base, leaves, middle)
         self.seconds += time.perf_counter() - started
         return derivatives
+
+    def _note_motion(self, base: FollowedRun) -> None:
+        """Update the largest change of a position."""
+        for problem, other in zip(base.problems, self.members[0].problems):
+            read, beside = problem.points.fields.read, other.points.fields.read
+            way = np.abs(read("x") - read("x0")).max(initial=0.0)
+            self.moved = max(self.moved, self.epsilon * float(way))
+            if np.array_equal(read("id"), beside("id")):
+                change = np.abs(beside("x") - read("x")).max(initial=0.0)
+                self.moved = max(self.moved, float(change))
 
     def _follow(self, base: FollowedRun, k: int, marks: Events) -> list[str]:
         """Let a run follow a step; returns what it does otherwise than the run at m. Collective."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from dolfinmpm import study
 from dolfinmpm.materials import Law, Parameter, law_kernel
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
-from derivative_scenes import errors_of, mean_of, motion_of
+from derivative_scenes import SOFT, column, errors_of, mean_of, motion_of
 
 GIVEN = {"p0": 2e3, "G": 6e3, "load": 300.0, "share": 1.0}
 
@@ -83,3 +84,21 @@ def test_tangents_with_which_corrections_do_not_contract_are_told(monkeypatch):
     scene = lambda m: compressed({**GIVEN, **m}, share=1.2)  # noqa: E731
     found = study.differentiate(scene, {"p0": GIVEN["p0"]})
     assert "derivatives may be wrong" in found.notes[0]
+
+
+def test_motions_that_are_lost_in_the_rounding_of_positions_are_told(tmp_path):
+    stiff = SOFT | {"E": 1e8}
+    found = study.differentiate(column, stiff)
+    match = "positions up to 1.89 m are rounded to .* derivatives may have errors of 4e-04; larger"
+    assert re.search(match, found.notes[-1])
+    error = max(errors_of(column, stiff, found, 1e-3).values())
+    assert 1e-6 < error < 1e-3
+    # also after a restart
+    for _ in range(2):
+        again = study.differentiate(column, stiff, restart=tmp_path, every=2)
+    assert again.notes[-1] == found.notes[-1]
+    more = study.differentiate(column, stiff, central=True, epsilon=1e-5)
+    assert not more.notes
+    assert max(errors_of(column, stiff, more, 1e-3).values()) < 1e-6
+    # what does not move at all has no such errors
+    assert not study.differentiate(column, SOFT).notes
