@@ -203,8 +203,8 @@ def ghost(
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's
         return jumps * facets
-    # two of one order add up; of a stiffness and of a mass they differ in their scaling
-    kind = order, scaling, facets.metadata()[FACETS], id(u)
+    # two of one kind add up; of a stiffness and of a mass they differ in their scaling
+    kind = order, scaling, of_law, facets.metadata()[FACETS], id(u)
     name = "the ghost penalty (mpm.ghost)"
     return signed_form(jumps, facets, name, once=True, kind=kind)
 

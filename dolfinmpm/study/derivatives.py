@@ -283,8 +283,8 @@ def _rounded(base: FollowedRun, pairs: Sequence[FollowingRuns]) -> list[str]:
     """
     x = [problem.points.fields.read("x") for problem in base.problems]
     place = max(float(np.abs(one).max(initial=0.0)) for one in x)
-    moved = max(pair.moved for pair in pairs)
-    place, moved = base.comm.allreduce(np.array([place, moved]), op=MPI.MAX)
+    place = base.comm.allreduce(place, op=MPI.MAX)
+    moved = base.comm.allreduce(max(pair.moved for pair in pairs), op=MPI.MAX)
     lost = np.finfo(float).eps * place
     # without any motion, no figure hangs on rounded motions
     if not moved or lost <= _LOST * moved:

@@ -342,7 +342,7 @@ def test_two_ghost_penalties_of_one_kind():
     v = u._dolfinmpm_space.test
     one = mpm.ghost(points, u, v, gamma=300.0)
     with pytest.raises(FormError, match=r"the ghost penalty \(mpm\.ghost\) twice: leave one out"):
-        mpm.QuasiStatic(F + one + mpm.ghost(points, u, v, factor=1.0), u, points, bcs)
+        mpm.QuasiStatic(F + one + mpm.ghost(points, u, v, gamma=30.0), u, points, bcs)
     # of another order, and of a mass
     F += one + mpm.ghost(points, u, v, gamma=300.0, order=2)
     F += mpm.ghost(points, u, v, gamma=250.0, scaling="literal")
