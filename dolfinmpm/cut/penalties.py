@@ -155,7 +155,7 @@ def ghost(
         target = TARGET if target is None else number("target", target, 1.0)
     elif target is not None:
         raise ParameterError(f'target = {shown(target)} belongs to factor="{ADAPTIVE}" only')
-    of_law = factor is not None
+    of_law, strength = factor is not None, gamma if factor is None else factor
     if of_law and gamma is not None:
         raise ParameterError(
             f"gamma = {shown(gamma)} (Pa) and factor = {shown(factor)} (in units of M/30) are both "
@@ -203,8 +203,9 @@ def ghost(
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's
         return jumps * facets
-    # two of one kind add up; of a stiffness and of a mass they differ in their scaling
-    kind = order, scaling, of_law, facets.metadata()[FACETS], id(u)
+    # the same penalty again is a mistake; others add up, such as those of a stiffness and a mass
+    strength = id(strength) if isinstance(strength, Expr) else strength
+    kind = order, scaling, of_law, strength, facets.metadata()[FACETS], id(u)
     name = "the ghost penalty (mpm.ghost)"
     return signed_form(jumps, facets, name, once=True, kind=kind)
 

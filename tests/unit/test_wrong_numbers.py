@@ -342,10 +342,10 @@ def test_two_ghost_penalties_of_one_kind():
     v = u._dolfinmpm_space.test
     one = mpm.ghost(points, u, v, gamma=300.0)
     with pytest.raises(FormError, match=r"the ghost penalty \(mpm\.ghost\) twice: leave one out"):
-        mpm.QuasiStatic(F + one + mpm.ghost(points, u, v, gamma=30.0), u, points, bcs)
-    # of another order, and of a mass
+        mpm.QuasiStatic(F + one + mpm.ghost(points, u, v, gamma=300.0), u, points, bcs)
+    # of another order or strength, and of a mass
     F += one + mpm.ghost(points, u, v, gamma=300.0, order=2)
-    F += mpm.ghost(points, u, v, gamma=250.0, scaling="literal")
+    F += mpm.ghost(points, u, v, gamma=250.0, scaling="literal") + mpm.ghost(points, u, v, 30.0)
     mpm.QuasiStatic(F, u, points, bcs).step()
     assert np.isfinite(points["x"]).all()
 
