@@ -166,6 +166,41 @@ class NodalContact:
                 found[k] -= impulse
         return found
 
+    def losses(
+        self,
+        before: Sequence[Array],
+        strains: Sequence[Array],
+        share: float,
+        owned: slice | npt.NDArray[np.intp],
+    ) -> tuple[float, float]:
+        """Energy taken by the exchanges of a step at nodes of this rank (J).
+
+        Friction works on the velocities that strain the bodies, as stresses do. All impulses J take
+        J · (v + v*)/2, with the relative velocities v and v* of the bodies. The remainder is the
+        loss by the impact.
+
+        Args:
+            before: Velocities of each body at the start of the step (m/s), shape (nodes, d) each.
+            strains: Velocities by which each body strains (m/s), likewise.
+            share: Length of the step over the time during which forces act.
+            owned: Nodes of this rank.
+
+        Returns:
+            Loss by friction, and loss by the impact.
+        """
+        friction = whole = 0.0
+        mine = np.zeros(len(self._bodies[0].mass), bool)
+        mine[owned] = True
+        for i, j, k, n, impulse, _ in self._pairs:
+            own = mine[k]
+            J, n = impulse[own], n[own]
+            start, end = ((V[i][k] - V[j][k])[own] for V in (before, strains))
+            if self._friction:
+                along = J - np.sum(J * n, axis=1, keepdims=True) * n
+                friction += share * float(np.sum(along * end))
+            whole += 0.5 * float(np.sum(J * (start + end)))
+        return friction, whole - friction
+
     def exchange(self, velocities: Sequence[Array], ahead: float = 0.0) -> list[Array]:
         """Exchange the momentum that stops the approach of bodies. Changes the velocities.
 

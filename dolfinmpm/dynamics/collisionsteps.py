@@ -17,6 +17,7 @@ from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.dynamics.bodiesatsides import BodiesAtSides
 from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, NodalContact
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
@@ -107,24 +108,31 @@ class CollisionSteps(ExplicitBase):
         stencils = [selected(here.fields[0].stencils, own) for own in rows]
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         bodies = [self._at_nodes(s, here) for s in stencils]
-        before = self._velocities(stencils, bodies, here, held, points["velocity"])
+        faces = self.sides.on(here.fields[0].basis)
+        sides = BodiesAtSides(faces, bodies, here, held, kick, self.kinks)
+        before = self._velocities(stencils, bodies, here, sides, points["velocity"])
+        forces = [self._forces(s, here) for s in stencils]
+        damped = [settings.damping * np.abs(f) * np.sign(V) for f, V in zip(forces, before)]
         after = [
-            self._accelerated(s, b, V, here, kick) for s, b, V in zip(stencils, bodies, before)
+            V + kick * (f - g) / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
+            for body, V, f, g in zip(bodies, before, forces, damped)
         ]
-        self._absorb(bodies, after, here, kick)
-        external = self._hold(bodies, after, here, held)
+        sides.absorb(after)
+        external = sides.stop(after)
         touching = self._touching(bodies, here)
         touching.exchange(after)
-        external += self._hold(bodies, after, here, held)
+        external += sides.stop(after)
         new = self._points(stencils, rows, before, after, kick)
         strains = after
         if settings.scheme == "musl":
-            strains = self._velocities(stencils, bodies, here, held, new["velocity"])
+            strains = self._velocities(stencils, bodies, here, sides, new["velocity"])
+            sides.settle(strains)
             if points.comm.allreduce(touching.nodes.any(), op=MPI.LOR):
                 self._exchange_mapped(touching, stencils, bodies, here, after, strains)
-                external += self._hold(bodies, after, here, held)
+                external += sides.stop(after)
                 new = self._points(stencils, rows, before, after, kick)
-                strains = self._velocities(stencils, bodies, here, held, new["velocity"])
+                strains = self._velocities(stencils, bodies, here, sides, new["velocity"])
+                sides.settle(strains)
         operator = Operator(problem.form, here)
         self._place(operator, rows, [dt * V for V in strains])
         moved = points["x"] + operator.points.value[0]
@@ -132,16 +140,14 @@ class CollisionSteps(ExplicitBase):
         if isinstance(state, str):
             return state
         external = points.comm.allreduce(external, op=MPI.SUM) + self._load_work(moved)
-        self._work.external += external
         self._work.add_stresses(points, state.fields, operator)
+        motion = before, after, strains
+        self._count(external, sides, touching, damped, motion, here, (dt, kick))
         state.fields.update(new)
-        received = touching.received[here.unknowns.fields[0].owned_nodes].sum(axis=0)
         change, m = kick * new["acceleration"], settings.scaling * point_masses(points)
         filtered = settings.scheme == "musl"
         own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         self._work.projected += points.comm.allreduce(own, op=MPI.SUM)
-        self._work.late = lateness(external, self._work.latest, 0.0, False)
-        self.force = points.comm.allreduce(received, op=MPI.SUM) / kick
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
@@ -226,47 +232,45 @@ class CollisionSteps(ExplicitBase):
                 p[fixed] = 0.0
                 V_mapped += p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
 
-    def _hold(
+    def _count(
         self,
-        bodies: Sequence[BodyAtNodes],
-        velocities: Sequence[Array],
+        external: float,
+        sides: BodiesAtSides,
+        touching: NodalContact,
+        damped: Sequence[Array],
+        motion: tuple[Sequence[Array], Sequence[Array], Sequence[Array]],
         here: Activation,
-        held: Array,
-    ) -> float:
-        """Set velocities of prescribed components, and apply friction at sides of the grid.
-
-        Returns:
-            Work of the prescribed motions at nodes of this rank (J).
-        """  # fmt: skip
-        faces, unknowns = self.sides.on(here.fields[0].basis), here.unknowns.fields[0]
-        fixed, moving = unknowns.fixed, np.zeros_like(unknowns.fixed)
-        if here.driven:
-            own = unknowns.owned_nodes
-            moving[own] = fixed[own] & (held[own] != 0.0)
-        work = 0.0
-        for body, V in zip(bodies, velocities):
-            if faces is not None:
-                faces.rub(V, self.kinks)
-            m = np.broadcast_to(body.mass[:, None], V.shape)[moving]
-            work += float(np.sum(m * (held[moving] - V[moving]) * held[moving]))
-            V[fixed] = held[fixed]
-        return work
-
-    def _absorb(
-        self,
-        bodies: Sequence[BodyAtNodes],
-        velocities: Sequence[Array],
-        here: Activation,
-        dt: float,
+        times: tuple[float, float],
     ) -> None:
-        """Apply dashpots. Bodies at one node share a dashpot in proportion to their masses."""
-        faces = self.sides.on(here.fields[0].basis)
-        if faces is None or faces.dashpots is None:
-            return
-        m = sum(body.mass for body in bodies)
-        slower = 1.0 + dt * faces.dashpots / np.where(m > 0.0, m, np.inf)[:, None]
-        for V in velocities:
-            V /= slower
+        """Add the works of a step, and find the lateness of its velocities. Collective.
+
+        Args:
+            external: Work of loads and prescribed motions (J).
+            sides, touching: Sides of the grid, and nodes at which bodies touch.
+            damped: Forces of local damping (N), shape (nodes, d) per body.
+            motion: Velocities at the start and at the end of the step, and velocities by which the
+                bodies strain (m/s), shape (nodes, d) per body.
+            here: The activation.
+            times: Length of the step, and time during which forces act (s).
+        """
+        (before, after, strains), (dt, kick), work = motion, times, self._work
+        owned = here.unknowns.fields[0].owned_nodes
+        resisted = sum(
+            0.5 * dt * float(np.sum((g * (V + V_end))[owned]))
+            for g, V, V_end in zip(damped, before, after)
+        )
+        rubbed, absorbed = sides.losses(strains, dt)
+        slipped, lost = touching.losses(before, strains, dt / kick, owned)
+        received = touching.received[owned].sum(axis=0)
+        sums = np.array([rubbed + slipped, resisted + absorbed, lost, *received])
+        here.unknowns.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
+        friction, damping, collision = map(float, sums[:3])
+        self.force = sums[3:] / kick
+        work.external += external
+        work.losses["friction"] += friction
+        work.losses["damping"] += damping
+        work.losses["collision"] += collision
+        work.late = lateness(external - friction - damping, work.latest, 0.0, False)
 
     @stages.assemble
     def _velocities(
@@ -274,7 +278,7 @@ class CollisionSteps(ExplicitBase):
         stencils: Sequence[Stencils],
         bodies: Sequence[BodyAtNodes],
         here: Activation,
-        held: Array,
+        sides: BodiesAtSides,
         v: Array,
     ) -> list[Array]:
         """Nodal velocities of each body from the velocities of its points (m/s). Collective."""
@@ -283,14 +287,12 @@ class CollisionSteps(ExplicitBase):
         for s, body in zip(stencils, bodies):
             p = self._summed(here, v.shape[1], partial(scatter, s, m, v))
             found.append(p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None])
-        self._hold(bodies, found, here, held)
+        sides.hold(found)
         return found
 
     @stages.assemble
-    def _accelerated(
-        self, s: Stencils, body: BodyAtNodes, V: Array, here: Activation, dt: float
-    ) -> Array:
-        """Nodal velocities of a body after a step without conditions or contact. Collective."""
+    def _forces(self, s: Stencils, here: Activation) -> Array:
+        """Forces of a body's stresses and loads on the nodes (N), shape (nodes, d). Collective."""
         points, loads = self._problem.points, self._loads
         weight = stress_volumes(points, self._problem.form.parts.declarations, points["V"])
 
@@ -302,11 +304,7 @@ class CollisionSteps(ExplicitBase):
             else:
                 scatter(s, np.ones(len(points)), loads.body, out)
 
-        f = self._summed(here, points.gdim, add)
-        damping = self._settings.damping
-        if damping:
-            f -= damping * np.abs(f) * np.sign(V)
-        return V + dt * f / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
+        return self._summed(here, points.gdim, add)
 
     def _points(
         self,

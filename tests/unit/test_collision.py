@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from conftest import unit_grid
+from conftest import COMM, unit_grid
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, ParameterError
@@ -165,3 +165,90 @@ def test_dashpots_slow_what_collides_as_what_does_not():
         found.append(problem.points["velocity"][order])
     np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12)
     assert found[0][:, 0].min() < 0.2
+
+
+def thrown(boxes, velocities, sides=(), friction=0.0, gravity=0.0, contact=True, **options):
+    """Boxes with velocities of their own in explicit steps."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0.0, 3.0, 25), np.linspace(0.0, 1.5, 13)])
+    parts = [mpm.fill(grid, box, 2, 1000.0, tag=k) for k, box in enumerate(boxes, 1)]
+    points = sum(parts[1:], parts[0])
+    V = mpm.Space(grid, "gimp")
+    law = mpm.materials.Hencky(E=1e6, nu=0.0)
+    F = mpm.momentum(law, points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -gravity)), V.test) * points.dX
+    points.add_field("velocity", (2,), "m/s")
+    for k, v in enumerate(velocities, 1):
+        points["velocity"][points["tag"] == k] = v
+    if contact:
+        options["collision"] = mpm.Collision((1, 2), friction=friction)
+    faces = sides(V) if sides else ()
+    return mpm.Explicit(F, V.increment, points, faces, fused=False, **options)
+
+
+@pytest.mark.parametrize("scheme", ["musl", "usl"])
+@pytest.mark.parametrize("mu", [0.0, 0.2])
+def test_boxes_that_slide_apart_are_as_those_of_one_field(scheme, mu):
+    """Sides rub bodies that could collide as bodies that could not, with the same account."""
+    boxes = [mpm.Box((0.5, 0), (1.0, 0.5)), mpm.Box((2.0, 0), (2.5, 0.5))]
+    found, momenta = [], []
+    for contact in (True, False):
+        problem = thrown(
+            boxes, [(2, 0), (2, 0)], lambda V: mpm.frictional(V, "bottom", friction=mu),
+            gravity=10.0, contact=contact, scheme=scheme,
+        )  # fmt: skip
+        problem.step(0.1)
+        e = problem.energies()
+        found.append([e.kinetic, e.strain, e.external, *e.losses.values()])
+        momenta.append(problem.momentum())
+        # Coulomb's law, with the impulse of the bottom
+        lost = mu * (500.0 * 10.0 * 0.1 + momenta[-1][1])
+        assert momenta[-1][0] == pytest.approx(1000.0 - lost, abs=1e-9)
+        assert e["integrator"] > -1e-9
+        assert e["integrator"] < 0.02 * max(e["friction"], 1e2)
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(momenta[0], momenta[1], rtol=0, atol=1e-9)
+
+
+def test_energy_taken_by_an_impact_has_names():
+    """Friction, impact, local damping and absorbing sides; little is left for the steps."""
+    boxes = [mpm.Box((0.5, 0.5), (1.0, 1.0)), mpm.Box((1.0, 0.5), (1.75, 1.0))]
+    problem = thrown(boxes, [(1, 0.3), (-1, 0)], friction=0.3)
+    problem.step(0.08)
+    e = problem.energies()
+    assert e["friction"] > 0.5
+    assert e["collision"] > 0.1 * e.initial
+    assert abs(e["integrator"]) < 2e-3 * e.initial
+    problem = thrown(boxes, [(1, 0.3), (-1, 0)], damping=0.2, courant=0.2)
+    problem.step(0.08)
+    e = problem.energies()
+    assert e["damping"] > 0.5 * e.initial
+    assert abs(e["integrator"]) < 0.02 * e.initial
+    boxes = [mpm.Box((2.0, 0.5), (2.5, 1.0)), mpm.Box((2.5, 0.5), (3.0, 1.0))]
+    problem = thrown(
+        boxes, [(1, 0), (1, 0)], courant=0.2,
+        sides=lambda V: mpm.absorbing(V, "right", density=1000.0, p_speed=30.0),
+    )  # fmt: skip
+    problem.step(0.03)
+    e = problem.energies()
+    assert e["damping"] > 0.4 * e.initial
+    assert abs(e["integrator"]) < 0.02 * e.initial
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 10.0])
+def test_exchanges_take_what_the_bodies_lose(friction):
+    """Kinetic energy at the nodes before less that after, of which friction has its share."""
+    bodies, v = at_nodes()
+    before = [one.copy() for one in v]
+    touching = NodalContact(bodies, None, friction)
+    touching.exchange(v)
+    kinetic = [
+        sum(0.5 * float(body.mass @ np.sum(V**2, axis=1)) for body, V in zip(bodies, both))
+        for both in (before, v)
+    ]
+    rubbed, lost = touching.losses(before, v, 1.0, slice(None))
+    assert rubbed + lost == pytest.approx(kinetic[0] - kinetic[1], rel=1e-12)
+    # what sticks does not slip
+    assert rubbed == 0.0 if friction == 0.0 else rubbed > 0.0
+    rows = np.arange(len(v[0]))
+    halves = [touching.losses(before, v, 1.0, own) for own in (rows[:90], rows[90:])]
+    np.testing.assert_allclose(np.sum(halves, axis=0), (rubbed, lost), rtol=1e-12)

@@ -31,11 +31,13 @@ def colliding_bodies():
             problem.step(0.04 * (k + 1))
         if gap_test:
             assert problem.collision_force.shape == (2,)
+        energies = problem.energies()
         moved = sum(record.migrated for record in problem.history)
         figures[str(gap_test)] = {
             "parts": [record.parts for record in problem.history],
             "moved": (moved > 0) if COMM.size > 1 else None,
             "momentum": list(problem.momentum()), "force": list(problem.collision_force),
+            "energies": [energies.kinetic, energies.strain, *energies.losses.values()],
             **sums(points, "x", "velocity", "F", "stress"),
         }  # fmt: skip
     return figures
