@@ -96,8 +96,10 @@ class Explicit(MovingBody, Problem):
             root of the factor.
         bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
             against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2).
-        mass_cutoff: Nodes with less than this share of the largest mass stand still (Sulsky,
-            Zhou & Schreyer 1995).
+        mass_cutoff: Nodes with less than this share of the largest mass, at most 0.01, stand
+            still (Sulsky, Zhou & Schreyer 1995). Their forces are lost, and momentum with them:
+            some 0.5 % to 4 % in runs of "musl". In "usl" and "usf" they also strain what moves, and
+            a share of 0.01 took 38 %. `redistribution` keeps momentum.
         redistribution: Nodes with less than this share of the largest mass pass a part of their
             forces to their neighbours. This part is the share of mass that they lack (Ma, Zhang &
             Qiu 2010).

@@ -314,6 +314,7 @@ def test_a_run_goes_on_from_its_file(tmp_path, fused):
         ({"ghost_mass": 0.25}, "lumping takes away"),
         ({"bulk_viscosity": 0.1}, "bulk_viscosity"),
         ({"mass_cutoff": -1e-3}, "mass_cutoff"),
+        ({"mass_cutoff": 0.1}, "at most 0.01.*redistribution=0.1"),
     ],
 )
 def test_bad_arguments(options, message):
