@@ -171,7 +171,7 @@ class NodalContact:
         before: Sequence[Array],
         strains: Sequence[Array],
         share: float,
-        owned: slice | npt.NDArray[np.intp],
+        owned: slice | npt.NDArray[np.integer],
     ) -> tuple[float, float]:
         """Energy taken by the exchanges of a step at nodes of this rank (J).
 

@@ -27,6 +27,7 @@ from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
+from dolfinmpm.dynamics.boundarywork import boundary_forces, works_of_boundaries
 from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
@@ -37,7 +38,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import viscous_pressure
-from dolfinmpm.dynamics.stepwork import work_at_nodes, work_of_boundaries, work_of_friction
+from dolfinmpm.dynamics.stepwork import work_at_nodes, work_of_friction
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
@@ -107,7 +108,8 @@ class GeneralSteps(ExplicitBase):
         if settings.scheme == "usf":
             V_strain = self._before_forces(operator, mass, V, kick)
             predicted = dt * V_strain
-        held_by = self._held_by(operator, predicted)
+        at_start = boundary_forces(operator)
+        held_by = self._held_by(operator, at_start, predicted)
         forces = self._forces(operator, mass, s, predicted)
         if isinstance(forces, str):
             return forces
@@ -139,12 +141,13 @@ class GeneralSteps(ExplicitBase):
             return state
         self._watch(operator, True)
         self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), dt, kick)
-        self._work.external += work_of_boundaries(here, held_by, dt * V_strain)
         self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, kick)
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
-        self._find_lateness(operator, net, grid)
+        held_work, late_work = works_of_boundaries(operator, at_start, state)
+        self._find_lateness(operator, net, grid, late_work)
+        self._work.external += held_work
         self._work.external += problem.bodies.commit(problem.bodies.acting(operator))
         return commit(points, state)
 
@@ -171,16 +174,17 @@ class GeneralSteps(ExplicitBase):
             gradient = operator.points.gradient[0] / dt
         return mapping.to_points(points, field, x_node, motion, mass, dt, 1.0, gradient)
 
-    def _find_lateness(self, operator: Operator, net: float, grid: float) -> None:
+    def _find_lateness(self, operator: Operator, net: float, grid: float, held: float) -> None:
         """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
 
         Args:
             operator: The step's equations, at the end of the step.
             net, grid: Sums of `Work` before the step (J).
+            held: Work of the boundaries' forces at the end of the step (J).
         """
         work, bodies = self._work, self._problem.bodies
         late = self._settings.scheme == "usf"
-        work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
+        work.late = lateness(work.net - net, work.latest - held, work.grid - grid, late)
         if bodies.contacts:
             acting, comm = bodies.acting(operator), self._problem.comm
             more, work.late_bodies = lateness_by_contact(bodies, acting, comm)
@@ -258,12 +262,13 @@ class GeneralSteps(ExplicitBase):
             forces.arrays[0][:] -= operator.forces_of("contact")[0]
         return forces
 
-    def _held_by(self, operator: Operator, u: Array | None) -> Array | None:
-        """Internal forces of boundaries, at present or after an increment u. Collective."""
-        if not operator.has("boundary"):
-            return None
-        if u is not None:
-            operator.set_increments_of("boundary", [u])
+    def _held_by(
+        self, operator: Operator, at_start: list[Array] | None, u: Array | None
+    ) -> Array | None:
+        """Internal forces of boundaries, at the start or after an increment u. Collective."""
+        if at_start is None or u is None:
+            return None if at_start is None else at_start[0]
+        operator.set_increments_of("boundary", [u])
         return operator.forces_of("boundary")[0]
 
     @stages.assemble
@@ -346,7 +351,7 @@ class GeneralSteps(ExplicitBase):
             return V
         forces = self._forces(operator, mass, here.fields[0].stencils, None)
         assert isinstance(forces, Nodal)
-        if (held_by := self._held_by(operator, None)) is not None:
+        if (held_by := self._held_by(operator, boundary_forces(operator), None)) is not None:
             forces.arrays[0][:] -= held_by
         free = V + kick * mass.solve(forces, np.zeros_like(V)).arrays[0]
         V_end, settled = free.copy(), V.copy()

@@ -15,6 +15,7 @@ from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.dynamics.boundarywork import boundary_forces
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.inertiaterm import Dashpots
@@ -57,9 +58,12 @@ class GridMotion:
         penalty_energy: Energy taken by penalties on changes of velocity.
         nodes: Nodes of each field that moves points, at the start of the last step.
         varying: Whether any load changes in the present step.
+        held_at_start: Forces of boundaries at the start of the step (N), shape (nodes, components)
+            per field, or None without boundaries.
     """
 
     nodes: list[MovingNodes]
+    held_at_start: list[Array] | None = None
 
     def __init__(
         self,
@@ -108,9 +112,12 @@ class GridMotion:
         start, self._times = None, (t - dt, t)
         for k in here.movers:
             self._sides.on(here.fields[k].basis, t - dt)
-        if self._starting or self.rule.by_forces:
+        self.held_at_start = None
+        if self._starting or self.rule.by_forces or form.boundaries:
             plain = Operator(form, here)
             plain.move_to_start()
+            self.held_at_start = boundary_forces(plain)
+        if self._starting or self.rule.by_forces:
             start = plain.forces(without=("contact",))
         self.nodes = [
             self._on_nodes(here, k, rates[k], None if start is None else start[k])

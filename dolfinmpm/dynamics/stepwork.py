@@ -23,7 +23,6 @@ __all__ = [
     "add_work_of_nodes",
     "mean_contact_forces",
     "work_at_nodes",
-    "work_of_boundaries",
     "work_of_contact",
     "work_of_friction",
     "work_of_loads",
@@ -135,20 +134,6 @@ def work_at_nodes(
         done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
         external += mass.comm.allreduce(done, op=MPI.SUM)
     return external
-
-
-def work_of_boundaries(here: Activation, force: Array | None, u: Array) -> float:
-    """Work of forces of boundaries on increments of the nodes (J). Collective.
-
-    Args:
-        here: The activation.
-        force: Internal forces of boundaries (N), shape (nodes, d), or None without boundaries.
-        u: Increments (m), shape (nodes, d).
-    """
-    if force is None:
-        return 0.0
-    at = here.unknowns.fields[0].owned_nodes
-    return here.unknowns.comm.allreduce(-float(np.sum(force[at] * u[at])), op=MPI.SUM)
 
 
 def work_of_friction(mass: Mass, stopped: Array | None, u: Array, kick: float) -> float:

@@ -18,6 +18,7 @@ from dolfinx import fem
 from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.activation import Activation
+from dolfinmpm.dynamics.boundarywork import works_of_boundaries
 from dolfinmpm.dynamics.clock import (
     MotionRecord,
     Time,
@@ -291,6 +292,8 @@ class NewmarkScheme(TimedScheme):
         state = new_state(problem, operator, carried=carried)
         if isinstance(state, str):
             return state
+        self._load_at(problem, step, 1.0)
+        held_work, _ = works_of_boundaries(operator, motion.held_at_start, state)
         self._load_at(problem, step, 0.5)
         may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings
         motions = motion.ends(operator, step.dt)
@@ -298,6 +301,7 @@ class NewmarkScheme(TimedScheme):
         if reason is None:
             reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
         if reason is None:
+            self.count(held_work)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)
         self._load_at(problem, step, 1.0)

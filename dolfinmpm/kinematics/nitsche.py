@@ -133,6 +133,14 @@ class WeakCondition:
             moduli = self.declaration.elastic.moduli()[:, 0]
             markers[self.stiffness][rows] = self.penalty * moduli / sizes[rows]
 
+    def own_work(self, fields: Any, moved: Any) -> float:
+        """See `Wall.own_work`: a prescribed motion does all the work of its forces."""
+        return 0.0
+
+    def energy(self) -> tuple[float, float]:
+        """See `Wall.energy`."""
+        return 0.0, 0.0
+
     def gaps(self) -> npt.NDArray[np.float64]:
         """Deviation from the prescribed displacement at the markers of this rank (m)."""
         return self.boundary.markers[next(iter(self.updates))]

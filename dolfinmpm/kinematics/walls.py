@@ -16,6 +16,7 @@ penalty. A lumped mass, or `GeneralisedAlpha` with ρ∞ < 1, damps the oscillat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,6 +109,36 @@ class Wall:
         held = np.linalg.norm(markers[f"{self.name}_shear"], axis=1)
         # the tractions of markers that slip are those of the limit, to rounding
         return touches, touches & (self.friction > 0.0) & (held > (1.0 - _ROUNDING) * bound)
+
+    def energy(self) -> tuple[float, float]:
+        """Energy stored by the penalties, and work of friction so far, at this rank's markers (J).
+
+        Penalties store ½ k ⟨g⟩² + ½ |t_s|²/k_t per area.
+        """
+        markers = self.boundary.markers
+        k, gap = markers[self.stiffness], np.maximum(markers[f"{self.name}_gap"], 0.0)
+        stored = float(np.sum(0.5 * markers["V"] * k * gap**2))
+        if not self.slip:
+            return stored, 0.0
+        shear = np.sum(markers[f"{self.name}_shear"] ** 2, axis=1)
+        resists = np.where(k > 0.0, self.slip * k, np.inf)
+        stored += float(np.sum(0.5 * markers["V"] * shear / resists))
+        return stored, float(np.sum(markers[f"{self.name}_rubbed"]))
+
+    def own_work(
+        self, fields: Mapping[str, npt.NDArray[np.float64]], moved: npt.NDArray[np.float64]
+    ) -> float:
+        """Work of the wall in a step at this rank's markers (J), before the step is taken.
+
+        Args:
+            fields: New values of the markers' fields.
+            moved: Displacements of the body at the markers (m), shape (markers, d).
+        """
+        markers = self.boundary.markers
+        p = markers[self.stiffness] * np.maximum(markers[f"{self.name}_gap"], 0.0)
+        force = markers["V"][:, None] * markers[f"{self.name}_shear"]
+        force -= p[:, None] * markers["area"]
+        return 0.5 * float(np.sum((force + fields[f"{self.name}_force"]) * moved))
 
     def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the penalty, and find the markers with the body in front and their gaps.
@@ -256,9 +287,13 @@ def signorini(
         returned = on * ufl.conditional(slides, bound / size, 1.0) * trial
         traction += returned
         updates[shear.name] = returned
+        rubbed = markers.add_field(f"{name}_rubbed", (), "J")
+        # slip without that of the stiffness, against the mean of the tractions
+        slipped = (trial - returned) / ufl.conditional(ufl.gt(stick, 0.0), stick, 1.0)
+        updates[rubbed.name] = rubbed + 0.5 * ufl.dot(shear + returned, slipped) * markers.V
     updates[force.name] = traction * markers.V
     boundary.forces.append(force.name)
-    slip = slip_penalty / penalty if mu > 0 else 0.0
+    slip = slip_penalty / penalty if mu > 0 and d > 1 else 0.0
     wall = Wall(
         boundary, declaration, stiffness_per_area, float(penalty), name, mu, slip, k.name, updates
     )

@@ -247,10 +247,14 @@ class Operator:
         return any(term.kind == kind for term in self.terms)
 
     @stages.assemble
-    def forces_of(self, kind: str) -> Sequence[Array]:
+    def forces_of(self, kind: str, renewed: bool = False) -> Sequence[Array]:
         """Internal forces of the terms of one kind, at the increments of these terms. Collective.
 
         Contacts return the forces of the last `update_contact`.
+
+        Args:
+            kind: The kind.
+            renewed: Whether constants and functions are taken as they are now.
 
         Returns:
             Nodal forces (N), shape (nodes, components) per field, at the nodes' owners. They are
@@ -258,6 +262,12 @@ class Operator:
         """
         forces = self.here.unknowns.nodal()
         if self.has(kind):
+            if renewed:
+                # external forces take the values of constants and functions
+                unused = self.here.unknowns.nodal()
+                for term in self.terms:
+                    if term.kind == kind:
+                        term.external(unused.arrays)
             if not all(t.internal(forces.arrays) for t in self.terms if t.kind == kind):
                 self._set_nan(forces)
             forces.add_up()

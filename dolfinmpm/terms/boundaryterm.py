@@ -132,6 +132,14 @@ class BoundaryTerm(Term):
                 of_law = condition.declaration.rows
                 markers[condition.stiffness][of_law] = 2.0 * markers[TRACE][of_law]
 
+    def energy(self) -> tuple[float, float]:
+        """See `Term`: of its walls. Collective."""
+        found = np.zeros(2)
+        for condition in self.conditions:
+            found += condition.energy()
+        self.markers.comm.Allreduce(MPI.IN_PLACE, found, op=MPI.SUM)
+        return float(found[0]), float(found[1])
+
     def summary(self) -> str:
         """See `Term`."""
         return f"boundary of {self.markers.total} markers"

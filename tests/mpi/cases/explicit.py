@@ -154,12 +154,13 @@ def explicit_boundaries():
         first = problem.critical_step()
         for k in range(2):
             problem.step(0.04 * (k + 1))
+        e = problem.energies()
         results[kind] = {
             "critical": [first, problem.critical_step()],
             "steps": [record.parts for record in problem.history],
             "moved": sum(r.migrated for r in problem.history) > 0 if COMM.size > 1 else None,
             "force": list(line.force()),
-            "energies": [problem.energies().kinetic, problem.energies().strain],
+            "energies": [e.kinetic, e.strain, e.contact, e.external, e["friction"]],
             **sums(points, "x", "velocity", "F", "stress"),
         }
     return results
