@@ -61,7 +61,24 @@ def dynamics():
         "gimp": _figures(tumbling),
         "triangles": _figures(lambda: tumbling(basis="linear", kind="triangle"), 12),
         "aggregation": _figures(lambda: tumbling(stabilisation="aggregation"), 12),
+        "even": _evenly_divided(),
     }
+
+
+def _evenly_divided():
+    """A body that fills its grid: the mesh's own division among the ranks stays."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (12, 6)], (12, 6), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0.2, 0.2), (11.8, 5.8)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=2e5, nu=0.3), points, V.increment, V.test)
+    points.add_field("velocity", (2,), "m/s")
+    points["velocity"][:, 0] = np.sin(points["x"][:, 0])
+    problem = mpm.Newmark(F, V.increment, points, stabilisation="ghost", tolerance=1e-12)
+    for k in range(3):
+        problem.step(0.01 * (k + 1))
+    assert COMM.size != 2 or points.partition is None
+    now = problem.energies()
+    return {"energies": [now.kinetic, now.strain], **sums(points, "x", "stress", "velocity")}
 
 
 def dynamics_lumped():
