@@ -49,6 +49,8 @@ Array = npt.NDArray[np.float64]
 _ROOM = 0.02
 # ... and at most this share of the volume of the smaller body at the node
 _LEFT = 0.25
+# Largest coefficient of friction in a product with an impulse that may be 0
+_LARGEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -224,7 +226,8 @@ class NodalContact:
             along = wanted - normal * n
             normal = np.maximum(normal, 0.0)
             size = np.linalg.norm(along, axis=1, keepdims=True)
-            rubs = np.minimum(self._friction * normal, size)
+            # nothing rubs where no body pushes, also with an infinite μ
+            rubs = np.minimum(min(self._friction, _LARGEST) * normal, size)
             if self._kinks is not None:
                 speed = max(float(np.abs(V).max(initial=0.0)) for V in before)
                 # without friction all nodes slip at all times

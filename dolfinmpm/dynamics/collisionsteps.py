@@ -93,6 +93,7 @@ class CollisionSteps(ExplicitBase):
         super().__init__(problem, settings, sides, "bodies collide")
         self._collision, self._loads = collision, FusedLoads(problem.form)
         self.force: Array = np.zeros(problem.points.gdim)
+        self._counted = False
 
     @stages.commit
     def _take(self, step: Step, kick: float) -> int | str:
@@ -151,14 +152,27 @@ class CollisionSteps(ExplicitBase):
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
-        """The error about points that belong to no body, or None."""
-        tags = self._problem.points["tag"]
+        """The error about points that belong to no body, or about bodies without points, or None.
+
+        A body may lose all its points after the first step. Collective.
+        """
+        tags, named = self._problem.points["tag"], tuple(self._collision.tags)
         stray = np.flatnonzero(~np.any(rows, axis=0)) if len(tags) else np.empty(0, np.intp)
+        if not self._counted:
+            self._counted = True
+            counts = np.array([np.count_nonzero(own) for own in rows])
+            self._problem.comm.Allreduce(MPI.IN_PLACE, counts, op=MPI.SUM)
+            if not counts.all():
+                return ParameterError(
+                    f"no point has the tag {named[int(np.argmin(counts))]} of Collision(tags="
+                    f"{named}), so nothing would touch it: give tags of the points, as in "
+                    "fill(..., tag=2)"
+                )
         if not stray.size:
             return None
         return ParameterError(
             f"{stray.size} points, such as those of tag {tags[stray[0]]}, belong to no body of "
-            f"Collision(tags={tuple(self._collision.tags)}): name all tags"
+            f"Collision(tags={named}): name all tags"
         )
 
     def _summed(self, here: Activation, components: int, add: Callable[[Array], None]) -> Array:

@@ -145,7 +145,7 @@ class GeneralSteps(ExplicitBase):
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
-        held_work, late_work = works_of_boundaries(operator, at_start, state)
+        held_work, late_work, _ = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
         self._work.external += held_work
         self._work.external += problem.bodies.commit(problem.bodies.acting(operator))

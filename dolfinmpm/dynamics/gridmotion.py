@@ -15,7 +15,7 @@ from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.boundarywork import boundary_forces
+from dolfinmpm.dynamics.boundarywork import WallEnergy, boundary_forces
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.inertiaterm import Dashpots
@@ -58,6 +58,7 @@ class GridMotion:
         penalty_energy: Energy taken by penalties on changes of velocity.
         nodes: Nodes of each field that moves points, at the start of the last step.
         varying: Whether any load changes in the present step.
+        walls: Work of walls so far.
         held_at_start: Forces of boundaries at the start of the step (N), shape (nodes, components)
             per field, or None without boundaries.
     """
@@ -77,6 +78,7 @@ class GridMotion:
         self.rule, self.mapping, self.terms = rule, mapping, terms
         self._points, self._sides, self.varying = points, sides, False
         self.ledger, self.penalty_energy, self._gain = ledger, PenaltyEnergy(), EnergyGain()
+        self.walls = WallEnergy()
         # whether the accelerations at the start of the next step follow from M a = f
         self._starting = True
         # times of the start and of the end of the substep (s)
@@ -310,6 +312,7 @@ class GridMotion:
             "starting": int(self._starting),
             "reserve": sorted(self.penalty_energy.energy.items()),
             "gained": self._gain.made,
+            "walls": self.walls.done,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -317,4 +320,4 @@ class GridMotion:
         self._starting = bool(state["starting"])
         self.penalty_energy.energy.clear()
         self.penalty_energy.energy.update({int(k): energy for k, energy in state["reserve"]})
-        self._gain.made = state["gained"]
+        self._gain.made, self.walls.done = state["gained"], state["walls"]

@@ -133,7 +133,7 @@ class WeakCondition:
             moduli = self.declaration.elastic.moduli()[:, 0]
             markers[self.stiffness][rows] = self.penalty * moduli / sizes[rows]
 
-    def own_work(self, fields: Any, moved: Any) -> float:
+    def own_work(self, fields: Any, moved: Any, level: Any = None) -> float:
         """See `Wall.own_work`: a prescribed motion does all the work of its forces."""
         return 0.0
 

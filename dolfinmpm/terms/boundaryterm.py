@@ -201,6 +201,12 @@ class ActiveBoundaryTerm(Evaluation):
         """See `ActiveTerm`: the displacements of the markers."""
         new.moved[self._of.markers.number] = self.motion(self._here.movers)[0]
 
+    def new_fields(self) -> dict[str, Array]:
+        """Fields that conditions set at the markers, for the present increments, by name."""
+        fields: dict[str, Array] = {}
+        self._of.updates.run(self, fields)
+        return fields
+
     def follow(self, new: NewState, step: int) -> None:
         """Add the state of the markers. Collective.
 
@@ -208,8 +214,7 @@ class ActiveBoundaryTerm(Evaluation):
             PointsOutsideGridError: Markers would leave the grid.
         """
         boundary, markers = self._of.boundary, self._of.markers
-        fields: dict[str, Array] = {}
-        self._of.updates.run(self, fields)
+        fields = self.new_fields()
         to: Destinations | None = None
         if boundary.follows:
             u, gradient = self.motion(self._here.movers)

@@ -94,7 +94,8 @@ def load_over_cells(points, u, v):
         (lambda: blocks("triangle", "linear"), ParameterError, "rectangular"),
         (lambda: blocks(extra=following_pressure), FormError, "internal forces"),
         (lambda: blocks(extra=load_over_cells), FormError, "loads on the points"),
-        (lambda: blocks(tags=(1, 3)).step(1e-3), ParameterError, "belong to no body"),
+        (lambda: blocks(tags=(1, 2, 3)).step(1e-3), ParameterError, "no point has the tag 3"),
+        (lambda: blocks(tags=((1, 2), (4, 5))).step(1e-3), ParameterError, "4, 5"),
         (lambda: blocks(tags=(1, 2)).step(-1.0), ParameterError, "later"),
     ],
 )
@@ -116,11 +117,13 @@ def test_neither_a_rigid_body_nor_anything_else_is_a_collision():
     np.testing.assert_array_equal(mpm.Explicit(F, V.increment, points).collision_force, 0.0)
 
 
-def between_walls(contact=(1, 2), sides=(), velocity=0.0, **options):
+def between_walls(contact=(1, 2), sides=(), velocity=0.0, third=None, **options):
     """Two blocks that fill the width of a grid, of which one or both sides act on them."""
     grid = unit_grid("quadrilateral", 8)
     points = mpm.fill(grid, mpm.Box((0, 0), (0.5, 0.5)), 2, 1000.0, tag=1)
     points += mpm.fill(grid, mpm.Box((0.5, 0), (1, 0.5)), 2, 1000.0, tag=2)
+    if third is not None:
+        points += mpm.fill(grid, third, 2, 1000.0, tag=3)
     V = mpm.Space(grid, "gimp")
     law = mpm.materials.Hencky(E=1e5, nu=0.2)
     F = mpm.momentum(law, points, V.increment, V.test)
@@ -158,13 +161,14 @@ def test_dashpots_slow_what_collides_as_what_does_not():
 
     found = []
     for contact in (((1, 2), 3), None):
-        problem = between_walls(contact, sides, 0.5)
+        problem = between_walls(contact, sides, 0.5, mpm.Box((0.25, 0.75), (0.5, 1.0)))
         problem.step(0.05)
         # fused steps keep points in another order
         order = np.lexsort(problem.points["x0"].T)
         found.append(problem.points["velocity"][order])
     np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12)
     assert found[0][:, 0].min() < 0.2
+    assert found[0][:, 0].max() == pytest.approx(0.5)
 
 
 def thrown(boxes, velocities, sides=(), friction=0.0, gravity=0.0, contact=True, **options):
@@ -207,6 +211,24 @@ def test_boxes_that_slide_apart_are_as_those_of_one_field(scheme, mu):
         assert e["integrator"] < 0.02 * max(e["friction"], 1e2)
     np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-9)
     np.testing.assert_allclose(momenta[0], momenta[1], rtol=0, atol=1e-9)
+
+
+def test_points_of_no_body_are_told():
+    problem = blocks(tags=(1, 2))
+    problem.points["tag"][0] = 3
+    with pytest.raises(ParameterError, match="belong to no body"):
+        problem.step(1e-3)
+
+
+def test_infinite_friction_sticks():
+    """As a large one does; it had made impulses that are no numbers."""
+    found = []
+    for mu in (np.inf, 1e3):
+        bodies, v = at_nodes()
+        v[0][150:] = v[1][150:]
+        NodalContact(bodies, None, mu).exchange(v)
+        found.append(v)
+    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_energy_taken_by_an_impact_has_names():

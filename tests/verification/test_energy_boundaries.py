@@ -11,6 +11,7 @@ from conftest import COMM
 from dolfinx import fem
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import InstabilityError
 
 RHO, E = 1000.0, 1e6
 C = math.sqrt(E / RHO)
@@ -97,3 +98,43 @@ def test_a_wall_at_rest_does_no_work(kind, options):
     between = 2.0 + 0.5 * push[0] / 250.0
     assert e["friction"] == pytest.approx(mu * push[1] * between, rel=0.1)
     assert abs(e["integrator"]) < 0.04 * e.initial
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [(mpm.Newmark, {}), (mpm.GeneralisedAlpha, {}), (mpm.GeneralisedAlpha, {"rho_inf": 0.0})],
+)
+def test_a_stiff_wall_that_multiplies_energy_is_refused(kind, options):
+    """The energy of an impact had grown four times, without a message."""
+    h = 0.125
+    grid = mpm.create_lattice(COMM, [np.arange(25) * h, np.arange(9) * h])
+    points = mpm.fill(grid, mpm.Box((1.0, 0.03), (1.5, 0.53)), 2, RHO)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    F += mpm.signorini(mpm.Boundary.from_side(points, "bottom"), V.increment, V.test, law=LAW)
+    points.add_field("velocity", (2,), "m/s", (0.3, -1.0))
+    problem = kind(F, V.increment, points, **IMPLICIT, **options)
+
+    def run():
+        for k in range(80):
+            problem.step((k + 1) * 1e-3)
+
+    if not options:
+        with pytest.raises(InstabilityError, match=r"walls .* at rest have given .* rho_inf = 0"):
+            run()
+    else:
+        run()
+    e = problem.energies()
+    assert e.kinetic + e.strain + e.contact < 2.0 * e.initial
+
+
+def test_infinite_friction_of_a_wall_ends_with_the_contact():
+    """The wall had held the body after it had lifted off."""
+    problem, wall = bar(mpm.Explicit, "wall", math.inf, (2.0, -1.0))
+    for k in range(60):
+        problem.step((k + 1) * 2e-3)
+    np.testing.assert_array_equal(wall.force(), 0.0)
+    before = problem.momentum()
+    problem.step(problem.time + 5e-3)
+    np.testing.assert_allclose(problem.momentum(), before, rtol=1e-9)
+    assert before[0] < 450.0
