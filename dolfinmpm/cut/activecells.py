@@ -135,8 +135,7 @@ class GhostFacets:
             empty: Mask of those without points, which are boundary cells wherever they lie.
         """
         cells = self._cells
-        # a basis may know further cells, which come last
-        active, boundary = active[: cells.size], empty[: cells.size].copy()
+        boundary = empty.copy()
         _mark_boundary(active, cells.owned, self._cell_facets, self._facet_cells, boundary)
         return self._between(active, cells.share_flags(boundary)).ravel()
 
