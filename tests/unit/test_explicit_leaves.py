@@ -69,8 +69,8 @@ def test_leaves_of_one_size_are_a_finer_grid(term, basis):
 @pytest.mark.parametrize("name", ["mass_cutoff", "redistribution"])
 def test_filters_of_light_nodes_are_refused(name):
     with pytest.raises(mpm.errors.ParameterError, match="small leaves"):
-        block(2, **{name: 0.1})
-    block(0, **{name: 0.1})
+        block(2, **{name: 0.01})
+    block(0, **{name: 0.01})
 
 
 def test_collisions_at_the_nodes_are_refused():
