@@ -165,7 +165,6 @@ def ghost(
         gamma = _scalar("gamma", gamma, points)
     elif target is None:
         gamma = _scalar("factor", factor, points) / 30
-    order = None if order is None else whole("order", order, 1)
     # h always before γ: FFCx identifies forms by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     size = cell_size(points.grid) if space is None else space.cell_size
@@ -177,9 +176,8 @@ def ghost(
     if points.axisymmetric and not of_law:
         parts.append(FacetRing(points, u)("+"))
     weight: Expr = functools.reduce(operator.mul, parts)
-    smooth = space.basis.continuity if space is not None else 0
-    if order is None:
-        order = space.basis.degree if space is not None else 1
+    smooth, degree = (0, 1) if space is None else (space.basis.continuity, space.basis.degree)
+    order = degree if order is None else whole("order", order, 1)
     h = ufl.avg(size) if isinstance(size, fem.Function) else size
     if scaling != "literal":
         weight = weight / h**2

@@ -128,8 +128,7 @@ class GeneralSteps(ExplicitBase):
             V_move = mass.solve(self._momenta(mass, field, x_node, new), held).arrays[0]
             if stopped is not None:
                 self._settle(here, stopped, V_move)
-        if settings.scheme != "usf":
-            V_strain = V_move
+        V_strain = V_strain if settings.scheme == "usf" else V_move
         moved = points["x"] + dt * collect(s, V_move)
         operator.set_increments([dt * V_strain])
         if held_by is not None and settings.clock is not None:
@@ -147,8 +146,7 @@ class GeneralSteps(ExplicitBase):
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         held_work, late_work, _ = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
-        self._work.external += held_work
-        self._work.external += problem.bodies.commit(problem.bodies.acting(operator))
+        self._work.external += held_work + problem.bodies.commit(problem.bodies.acting(operator))
         return commit(points, state)
 
     def _watch(self, operator: Operator, ends: bool) -> None:

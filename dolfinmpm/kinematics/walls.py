@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
@@ -200,6 +200,14 @@ class Wall:
             to[rows[near]] = source[of[near]]
 
 
+def _returned(grid: mesh.Mesh, trial: Expr, stick: Expr, bound: Expr, on: Expr) -> Any:
+    """The shear traction (Pa): the trial one if it sticks, or one of the size of its bound."""
+    least = stick * own_constant(grid, _STILL * largest_cell(grid))
+    size = ufl.sqrt(ufl.dot(trial, trial) + least**2)
+    # the traction is continuous at the bound, so that Newton's method takes either branch
+    return on * ufl.conditional(ufl.gt(size, bound), bound / size, 1.0) * trial
+
+
 @collective
 def signorini(
     boundary: Boundary,
@@ -217,14 +225,12 @@ def signorini(
     """A wall that takes compression but no tension: a term to add to a form.
 
     Args:
-        law: The law of the body at the wall, whose modulus scales the penalty; None with a
-            stiffness per area.
         boundary: The wall, such as `Boundary.from_side(points, "right")`; its normal points
             out of the body's room.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         law: The law of the body at the wall, whose modulus scales the penalty; None with a
-            stiffness.
+            stiffness per area.
         friction: Coefficient μ of Coulomb's friction.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
         penalty: k in units of M/h; see `dirichlet`, also for what explicit steps bear.
@@ -294,11 +300,7 @@ def signorini(
         # with an infinite μ, too, nothing holds a body that has lifted off
         bound = own_constant(markers.grid, min(mu, _LARGEST)) * p
         trial = shear - stick * (u - ufl.dot(n, u) * n)
-        least = stick * own_constant(markers.grid, _STILL * largest_cell(markers.grid))
-        size = ufl.sqrt(ufl.dot(trial, trial) + least**2)
-        # the traction is continuous at the bound, so that Newton's method takes either branch
-        slides = ufl.gt(size, bound)
-        returned = on * ufl.conditional(slides, bound / size, 1.0) * trial
+        returned = _returned(markers.grid, trial, stick, bound, on)
         traction += returned
         updates[shear.name] = returned
         rubbed = markers.add_field(f"{name}_rubbed", (), "J")

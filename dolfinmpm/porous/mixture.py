@@ -185,8 +185,7 @@ def poromechanics(
     end = at if level is None else kinematics(points, u, strain, level.whole)
     n0 = porosity_of(porosity, points)
     n, n_end = 1 - (1 - n0) / at.J, 1 - (1 - n0) / end.J
-    weight = own_constant(points.grid, fluid.unit_weight)
-    water = own_constant(points.grid, fluid.density)
+    weight, water = (own_constant(points.grid, a) for a in (fluid.unit_weight, fluid.density))
     K = permeability_of(permeability, at.J, n, points) / weight
     K0 = permeability_of(permeability, 1.0, n0, points) / weight
     b = gravity_of(gravity, points)
@@ -222,8 +221,7 @@ def poromechanics(
     if b is not None:
         refuse_hollow(points, fluid, n0, as_tags(tag))
         terms -= (points.density + at.growth * water) * ufl.dot(b, v)
-        mass = points.density + end.growth * water
-        heavy = carried(points, "density", mass, unit="kg/m^d")
+        heavy = carried(points, "density", points.density + end.growth * water, unit="kg/m^d")
         heavy.gravity = b
         keeps.append(heavy)
     if factor := factor_of(projection, u, p):
