@@ -54,9 +54,9 @@ def overwritten(points: MaterialPoints) -> ParameterError | None:
             p = bad[0]
             return ParameterError(
                 f"points['V'] of point {fields.read('id')[p]} at {fields.read('x')[p]} m was set "
-                f"to {V[p]:.6g} m^{points.strain_dim}, and the next step computes it as det(F) V0 "
-                f"= {wanted[p]:.6g} ({bad.size} such points on this rank). For another first "
-                "volume set points['V0'] too, before the first step"
+                f"to {V[p]:.6g} m^{points.strain_dim}. It must be det(F) V0 = {wanted[p]:.6g}, as "
+                f"the next step computes it ({bad.size} such points on this rank). For another "
+                "first volume set points['V0'] too, before the first step"
             )
     if fields.broken("stress", _strained(points)):
         largest = np.abs(fields.read("stress")).max()
