@@ -47,7 +47,8 @@ def layer(way, axis=0, rock=1.0, wave=pulse):
     [
         pytest.param(
             way, axis,
-            marks=[pytest.mark.long] * (axis == 1 and way not in ("newmark", "explicit")),
+            marks=[pytest.mark.long]
+            * (way == "lumped" or (axis == 1 and way not in ("newmark", "explicit"))),
         )
         for way in WAYS
         for axis in (0, 1)

@@ -40,7 +40,7 @@ def nested(cut=0.3, basis="gimp", coarse="p", h=0.125, stabilisation="none", **o
         ("gimp", "ghost", 1.0),
         ("gimp", "aggregation", 0.5),
         ("bspline2", "aggregation", 1.0),
-        ("bspline2", "ghost", 1.0),
+        pytest.param("bspline2", "ghost", 1.0, marks=pytest.mark.long),
         pytest.param("gimp", "none", 0.5, marks=pytest.mark.long),
         pytest.param("linear", "aggregation", 1.0, marks=pytest.mark.long),
     ],
