@@ -204,6 +204,12 @@ def DriftingRecordWarning():
     pulse(3.0)
 
 
+def LostMomentumWarning():
+    points, V = block()
+    F = mpm.momentum(SOIL, points, V.increment, V.test)
+    mpm.Explicit(F, V.increment, points, mass_cutoff=0.1)
+
+
 def SingularMassWarning():
     grid = mesh.create_interval(MPI.COMM_WORLD, 44, [0.0, 22.0])
     body = mpm.Box((0.5001,), (10.5001,))  # its last cell is cut to a sliver

@@ -33,6 +33,7 @@ __all__ = [
     "IdleConditionWarning",
     "ImbalanceWarning",
     "InstabilityError",
+    "LostMomentumWarning",
     "MigrationError",
     "MissingPackageError",
     "ParameterError",
@@ -160,6 +161,10 @@ class DifferentProblemWarning(DolfinMPMWarning):
 
 class DriftingRecordWarning(DolfinMPMWarning):
     """A recorded motion of the ground does not come to rest at its end."""
+
+
+class LostMomentumWarning(DolfinMPMWarning):
+    """A mass cut-off is so large that nodes that stand still may stop a body."""
 
 
 class SingularMassWarning(DolfinMPMWarning):

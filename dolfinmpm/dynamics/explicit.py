@@ -48,7 +48,7 @@ from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings, checked_courant
-from dolfinmpm.dynamics.smallmass import check_leaves
+from dolfinmpm.dynamics.smallmass import check_filters
 from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
@@ -96,10 +96,10 @@ class Explicit(MovingBody, Problem):
             root of the factor.
         bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
             against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2).
-        mass_cutoff: Nodes with less than this share of the largest mass, at most 0.01, stand
-            still (Sulsky, Zhou & Schreyer 1995). Their forces are lost, and momentum with them:
-            some 0.5 % to 4 % in runs of "musl". In "usl" and "usf" they also strain what moves, and
-            a share of 0.01 took 38 %. `redistribution` keeps momentum.
+        mass_cutoff: Nodes with less than this share of the largest mass stand still (Sulsky,
+            Zhou & Schreyer 1995). Their forces are lost, and momentum with them: some 0.5 % to 4 %
+            in runs of "musl". In "usl" and "usf" they also strain what moves, and a share of 0.01
+            took 38 %. Larger shares give a LostMomentumWarning. `redistribution` keeps momentum.
         redistribution: Nodes with less than this share of the largest mass pass a part of their
             forces to their neighbours. This part is the share of mass that they lack (Ma, Zhang &
             Qiu 2010).
@@ -182,7 +182,7 @@ class Explicit(MovingBody, Problem):
             self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)"
         )
         check_boundaries(self.form, mass)
-        check_leaves(u[0]._dolfinmpm_space, settings.filters, collision)
+        check_filters(u[0]._dolfinmpm_space, settings.filters, collision)
         if points.dt in extract_constants(form):
             raise FormError(
                 "the form has rates over points.dt, and increments are 0 where explicit steps find "

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform.argumentchecks import number
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import LostMomentumWarning, ParameterError, warn
 from dolfinmpm.basis.stencils import Stencils, gather
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
@@ -21,7 +21,7 @@ from dolfinmpm.grid.lattice import smallest_height
 __all__ = [
     "MassCutOff",
     "Redistribution",
-    "check_leaves",
+    "check_filters",
     "checked_viscosity",
     "filters",
     "viscous_pressure",
@@ -29,7 +29,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-# Largest share of a mass cut-off; nodes at the surface of a body have more
+# Largest share of a mass cut-off without a warning; nodes at the surface of a body have more
 _LARGEST_CUT = 0.01
 
 
@@ -125,27 +125,21 @@ def filters(mass_cutoff: Any, redistribution: Any) -> list[Filter]:
     """The filters by the user's arguments.
 
     Raises:
-        ParameterError: A share is not in [0, 1], or so much mass stands still that bodies stop.
+        ParameterError: A share is not in [0, 1].
     """
     found: list[Filter] = []
-    cut = number("mass_cutoff", mass_cutoff, 0.0, 1.0, closed=True)
-    if cut > _LARGEST_CUT:
-        raise ParameterError(
-            f"mass_cutoff = {cut:g} must be at most {_LARGEST_CUT:g}: nodes with this much mass "
-            f"would stand still, and stop the body; take redistribution={cut:g}, which keeps "
-            "momentum"
-        )
-    if cut > 0:
-        found.append(MassCutOff(cut))
+    if number("mass_cutoff", mass_cutoff, 0.0, 1.0, closed=True) > 0:
+        found.append(MassCutOff(mass_cutoff))
     if number("redistribution", redistribution, 0.0, 1.0, closed=True) > 0:
         found.append(Redistribution(redistribution))
     return found
 
 
-def check_leaves(space: Any, given: Sequence[Filter], collision: Any) -> None:
+def check_filters(space: Any, given: Sequence[Filter], collision: Any) -> None:
     """Raise if a refined space comes with what compares masses of nodes with each other.
 
-    The nodes of small leaves are light, wherever they are.
+    The nodes of small leaves are light, wherever they are. LostMomentumWarning tells of a mass
+    cut-off that stops bodies. Collective.
 
     Args:
         space: The space of the displacement.
@@ -156,6 +150,7 @@ def check_leaves(space: Any, given: Sequence[Filter], collision: Any) -> None:
         ParameterError: The space is refined, and there is a filter or a collision.
     """
     if space.refinement is None:
+        _warn_of_lost_momentum(space.grid.comm, given)
         return
     if given:
         raise ParameterError(
@@ -168,6 +163,18 @@ def check_leaves(space: Any, given: Sequence[Filter], collision: Any) -> None:
             "Collision needs cells of one size, and the space is refined: leave out refine=, or "
             "give each body a field of its own and take mpm.contact_between in implicit steps"
         )
+
+
+def _warn_of_lost_momentum(comm: MPI.Comm, given: Sequence[Filter]) -> None:
+    for one in given:
+        if isinstance(one, MassCutOff) and one.share > _LARGEST_CUT:
+            warn(
+                comm,
+                f"mass_cutoff = {one.share:g} is above {_LARGEST_CUT:g}: nodes at the surface of a "
+                "body, with this much mass, stand still, and may stop the body; take "
+                f"redistribution={one.share:g}, which keeps momentum",
+                LostMomentumWarning,
+            )
 
 
 def checked_viscosity(given: Any) -> tuple[float, float]:

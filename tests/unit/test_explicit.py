@@ -314,12 +314,17 @@ def test_a_run_goes_on_from_its_file(tmp_path, fused):
         ({"ghost_mass": 0.25}, "lumping takes away"),
         ({"bulk_viscosity": 0.1}, "bulk_viscosity"),
         ({"mass_cutoff": -1e-3}, "mass_cutoff"),
-        ({"mass_cutoff": 0.1}, "at most 0.01.*redistribution=0.1"),
     ],
 )
 def test_bad_arguments(options, message):
     with pytest.raises(errors.ParameterError, match=message):
         bar(**options)
+
+
+def test_a_mass_cut_off_that_may_stop_a_body_is_told():
+    told = r"mass_cutoff = 0\.1 is above 0\.01: .*redistribution=0\.1"
+    with pytest.warns(errors.LostMomentumWarning, match=told):
+        bar(mass_cutoff=0.1)
 
 
 def test_time_goes_forward():
