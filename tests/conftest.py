@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import io
 import json
 import os
@@ -68,61 +67,6 @@ def end_session(child):
                 os.kill(process, signal.SIGKILL)
         time.sleep(0.01)
     child.wait()
-
-
-class Turns:
-    """Tests run beside each other, launches on several ranks without other tests beside them.
-
-    Ranks that wait for each other take several times as long where other workers keep the cores
-    busy. On a machine with many cores there is nothing to win.
-
-    Args:
-        gate, room: Open files that all workers of this run share.
-    """
-
-    def __init__(self, gate, room):
-        self._few = len(os.sched_getaffinity(0)) < 4 and "PYTEST_XDIST_WORKER" in os.environ
-        # who wants to be alone keeps the gate, so that no other test begins
-        self._gate, self._room = gate, room
-
-    def begin(self):
-        if self._few:
-            fcntl.flock(self._gate, fcntl.LOCK_EX)
-            fcntl.flock(self._room, fcntl.LOCK_SH)
-            fcntl.flock(self._gate, fcntl.LOCK_UN)
-
-    def end(self):
-        if self._few:
-            fcntl.flock(self._room, fcntl.LOCK_UN)
-
-    @contextlib.contextmanager
-    def alone(self):
-        """Waits for the end of the tests of other workers, which wait until this ends."""
-        self.end()
-        if self._few:
-            fcntl.flock(self._gate, fcntl.LOCK_EX)
-            fcntl.flock(self._room, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            if self._few:
-                fcntl.flock(self._room, fcntl.LOCK_UN)
-                fcntl.flock(self._gate, fcntl.LOCK_UN)
-            self.begin()
-
-
-@pytest.fixture(scope="session")
-def turns(tmp_path_factory):
-    folder = tmp_path_factory.getbasetemp().parent
-    with open(folder / "gate", "w") as gate, open(folder / "room", "w") as room:
-        yield Turns(gate, room)
-
-
-@pytest.fixture(autouse=True)
-def _beside_others(turns):
-    turns.begin()
-    yield
-    turns.end()
 
 
 def start(script, *options, ranks=1, timeout=LIMIT):

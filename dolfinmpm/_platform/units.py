@@ -10,7 +10,10 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import DegreesWarning, warn
 
-__all__ = ["friction_coefficient", "in_radians", "warn_of_radians"]
+__all__ = ["LARGEST_FRICTION", "friction_coefficient", "in_radians", "warn_of_radians"]
+
+# Coefficient in place of an infinite one, in a product with a pressure that may be 0
+LARGEST_FRICTION = 1e30
 
 # Coefficients in this range are none of any materials, and angles of friction in degrees of many
 _DEGREES = 10.0, 60.0

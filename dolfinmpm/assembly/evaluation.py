@@ -108,10 +108,15 @@ class Evaluation(ActiveTerm):
                 return False
         return True
 
-    def external(self, out: Sequence[Array]) -> None:
-        """See `ActiveTerm`. DOLFINx constants and functions are taken as they are now."""
+    def renew(self) -> None:
+        """See `ActiveTerm`."""
         for region in self.regions:
             region.update_constants()
+
+    def external(self, out: Sequence[Array]) -> None:
+        """See `ActiveTerm`. DOLFINx constants and functions are taken as they are now."""
+        self.renew()
+        for region in self.regions:
             region.add_flux(region.terms.external, out)
             self.failure = self.failure or region.failure
 

@@ -82,6 +82,9 @@ class ActiveTerm:
         """Blocks that are in the tangent only, see `Stabilisation("soft")`."""
         return ()
 
+    def renew(self) -> None:
+        """Take DOLFINx constants and functions as they are now; `external` does so, too."""
+
     def external(self, out: Sequence[Array]) -> None:
         """Add the forces that do not depend on the increments.
 

@@ -14,17 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import InstabilityError
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.terms.boundaryterm import ActiveBoundaryTerm
 
-__all__ = ["WallEnergy", "boundary_forces", "fields_at_level", "works_of_boundaries"]
+__all__ = ["boundary_forces", "fields_at_level", "works_of_boundaries"]
 
 Array = npt.NDArray[np.float64]
-
-# Largest work of walls at rest, as a share of the whole energy
-_MOST = 0.1
 
 
 def boundary_forces(operator: Operator) -> list[Array] | None:
@@ -84,46 +80,3 @@ def works_of_boundaries(
             works[2] += own if level is None else condition.own_work(fields, moved, level[k])
     here.unknowns.comm.Allreduce(MPI.IN_PLACE, works, op=MPI.SUM)
     return float(works[0]), float(works[1]), float(works[2])
-
-
-class WallEnergy:
-    """Work that walls have done on a body in implicit steps.
-
-    Walls at rest store energy and rub. So this work is negative, or 0 after contact without
-    friction. But a penalty that begins or ends to act within a step does the work of the mean of
-    its forces, and not of its energy. A stiff wall may so multiply the energy of an impact.
-
-    Attributes:
-        done: Sum of the works (J).
-    """
-
-    def __init__(self) -> None:
-        self.done = 0.0
-
-    def judge(self, work: float, whole: float, dt: float, may_halve: bool) -> str | None:
-        """The reason to halve a step, or None. With None the step's work is added.
-
-        Args:
-            work: Work of the walls in the step (J).
-            whole: First energy plus work of loads (J).
-            dt: Length of the step (s).
-            may_halve: Whether the step may be halved.
-
-        Raises:
-            InstabilityError: The walls have done too much work, and the step may not be halved.
-        """
-        if work > 0.0 and self.done + work > _MOST * abs(whole) > 0.0:
-            reason = (
-                f"walls (mpm.signorini) at rest have given {self.done + work:.4g} J to a body with "
-                f"{abs(whole):.4g} J of first energy and work of loads, more than the share "
-                f"{_MOST:g}"
-            )
-            if not may_halve:
-                raise InstabilityError(
-                    f"{reason}, in a step of {dt:.3g} s. The state is that before it. Take "
-                    'mass="lumped", or GeneralisedAlpha with rho_inf = 0, or a smaller penalty of '
-                    "the wall, or smaller steps"
-                )
-            return reason
-        self.done += work
-        return None

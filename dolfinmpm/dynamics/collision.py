@@ -38,7 +38,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm._platform.units import LARGEST_FRICTION, friction_coefficient
 from dolfinmpm.dynamics.kinks import COLLIDING, Kinks
 
 __all__ = ["BodyAtNodes", "Collision", "NodalContact"]
@@ -49,8 +49,6 @@ Array = npt.NDArray[np.float64]
 _ROOM = 0.02
 # ... and at most this share of the volume of the smaller body at the node
 _LEFT = 0.25
-# Largest coefficient of friction in a product with an impulse that may be 0
-_LARGEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -227,7 +225,7 @@ class NodalContact:
             normal = np.maximum(normal, 0.0)
             size = np.linalg.norm(along, axis=1, keepdims=True)
             # nothing rubs where no body pushes, also with an infinite μ
-            rubs = np.minimum(min(self._friction, _LARGEST) * normal, size)
+            rubs = np.minimum(min(self._friction, LARGEST_FRICTION) * normal, size)
             if self._kinks is not None:
                 speed = max(float(np.abs(V).max(initial=0.0)) for V in before)
                 # without friction all nodes slip at all times

@@ -15,8 +15,8 @@ from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.boundarywork import WallEnergy, boundary_forces
-from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
+from dolfinmpm.dynamics.boundarywork import boundary_forces
+from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy, WallEnergy
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.inertiaterm import Dashpots
 from dolfinmpm.dynamics.ledger import Ledger, Work

@@ -32,7 +32,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.argumentchecks import check_kind, number, refuse_idle
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm._platform.units import LARGEST_FRICTION, friction_coefficient
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
@@ -58,8 +58,6 @@ _NEAR = 1.0
 _TOUCHES = 1e-9
 # Tractions so near to the limit of friction, as a share, are at it
 _ROUNDING = 1e-14
-# Largest coefficient of friction in a product with a pressure that may be 0
-_LARGEST = 1e30
 # slip below this share of a cell has no direction
 _STILL = 1e-12
 
@@ -109,7 +107,7 @@ class Wall:
         markers = self.boundary.markers
         gap, k = markers[f"{self.name}_gap"], markers[self.stiffness]
         touches = gap > 0.0
-        bound = min(self.friction, _LARGEST) * k * gap
+        bound = min(self.friction, LARGEST_FRICTION) * k * gap
         held = np.linalg.norm(markers[f"{self.name}_shear"], axis=1)
         # the tractions of markers that slip are those of the limit, to rounding
         return touches, touches & (self.friction > 0.0) & (held > (1.0 - _ROUNDING) * bound)
@@ -200,6 +198,19 @@ class Wall:
             to[rows[near]] = source[of[near]]
 
 
+def _check_stiffness(stiffness_per_area: Any, law: Any, tag: Any) -> None:
+    """Raise ParameterError unless the stiffness is given by the law, or by itself."""
+    if stiffness_per_area is None:
+        if law is None:
+            raise ParameterError(
+                "law = None needs a stiffness_per_area (Pa/m); give the law of the body"
+            )
+        return
+    number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
+    for what, given in (("law", law), ("tag", tag)):
+        refuse_idle(what, given, None, "leave it out, or leave out stiffness_per_area")
+
+
 def _returned(grid: mesh.Mesh, trial: Expr, stick: Expr, bound: Expr, on: Expr) -> Any:
     """The shear traction (Pa): the trial one if it sticks, or one of the size of its bound."""
     least = stick * own_constant(grid, _STILL * largest_cell(grid))
@@ -240,7 +251,7 @@ def signorini(
 
     Raises:
         ParameterError: An argument is not valid; the boundary moves with a body; or law and
-            stiffness are both missing.
+            stiffness are both missing, or both given.
 
     A body is pushed to the right, against a wall:
 
@@ -273,15 +284,8 @@ def signorini(
         refuse_idle("friction", mu, 0.0, "in 1D nothing slides along a wall; leave it out")
     if not mu:
         refuse_idle("slip_penalty", slip_penalty, 0.5, "it is of friction: give friction=")
-    declaration = None
-    if stiffness_per_area is not None:
-        number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
-    elif law is None:
-        raise ParameterError(
-            "law = None needs a stiffness_per_area (Pa/m); give the law of the body"
-        )
-    else:
-        declaration = flux(law, markers, u, strain, tag)[1]
+    _check_stiffness(stiffness_per_area, law, tag)
+    declaration = None if law is None else flux(law, markers, u, strain, tag)[1]
     name = f"wall{len(boundary.forces) + 1}"
     look_ahead(boundary)
     gap = markers.add_field(f"{name}_gap", (), "m")
@@ -298,7 +302,7 @@ def signorini(
     if mu > 0:
         stick = k * own_constant(markers.grid, slip_penalty / penalty)
         # with an infinite μ, too, nothing holds a body that has lifted off
-        bound = own_constant(markers.grid, min(mu, _LARGEST)) * p
+        bound = own_constant(markers.grid, min(mu, LARGEST_FRICTION)) * p
         trial = shear - stick * (u - ufl.dot(n, u) * n)
         returned = _returned(markers.grid, trial, stick, bound, on)
         traction += returned

@@ -262,13 +262,10 @@ class Operator:
         """
         forces = self.here.unknowns.nodal()
         if self.has(kind):
-            if renewed:
-                # external forces take the values of constants and functions
-                unused = self.here.unknowns.nodal()
-                for term in self.terms:
-                    if term.kind == kind:
-                        term.external(unused.arrays)
-            if not all(t.internal(forces.arrays) for t in self.terms if t.kind == kind):
+            terms = [term for term in self.terms if term.kind == kind]
+            for term in terms if renewed else ():
+                term.renew()
+            if not all(term.internal(forces.arrays) for term in terms):
                 self._set_nan(forces)
             forces.add_up()
         return forces.arrays

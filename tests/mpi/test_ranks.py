@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import shutil
@@ -65,10 +64,9 @@ GROUPS = [list(CASES)[k : k + GROUP] for k in range(0, len(CASES), GROUP)]
 
 
 @functools.cache
-def launched(cases: tuple[str, ...], ranks: int, turns) -> tuple[dict[str, dict], str]:
+def launched(cases: tuple[str, ...], ranks: int) -> tuple[dict[str, dict], str]:
     """Figures of the cases that one launch brought to their end, and how it ended itself."""
-    with turns.alone() if ranks > 1 else contextlib.nullcontext():
-        done = start("tests/mpi/run_case.py", *cases, ranks=ranks)
+    done = start("tests/mpi/run_case.py", *cases, ranks=ranks)
     lines = [json.loads(x) for x in done.stdout.splitlines() if x.startswith('{"case": ')]
     found = {line["case"]: line["figures"] for line in lines}
     return found, f"exit code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-4000:]}"
@@ -81,13 +79,13 @@ def asked(request):
     return {item.callspec.params["case"] for item in here}
 
 
-def figures(case: str, ranks: int, turns, asked) -> dict:
+def figures(case: str, ranks: int, asked) -> dict:
     (group,) = (names for names in GROUPS if case in names)
     alike = [x for x in group if x in asked and (x in VARIANTS) == (case in VARIANTS)]
-    found, end = launched(tuple(alike), ranks, turns)
+    found, end = launched(tuple(alike), ranks)
     if case not in found:
         # another one may have ended the launch
-        found, end = launched((case,), ranks, turns)
+        found, end = launched((case,), ranks)
     assert case in found, f"{case} on {ranks} ranks: {end}"
     return found[case]
 
@@ -114,8 +112,8 @@ def leaves(figures, path=()):
         for ranks in ((3,) if case in VARIANTS else (2, 3))
     ],
 )
-def test_figures_do_not_depend_on_the_ranks(case, ranks, turns, asked):
-    one, many = (leaves(figures(case, n, turns, asked)) for n in (1, ranks))
+def test_figures_do_not_depend_on_the_ranks(case, ranks, asked):
+    one, many = (leaves(figures(case, n, asked)) for n in (1, ranks))
     assert one.keys() == many.keys()
     few = TOLERANCES.get(case, 1e-9)
     texts = {path for path in one if isinstance(one[path], str)}

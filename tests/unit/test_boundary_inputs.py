@@ -141,6 +141,10 @@ def _bad():
         "wall without law": (
             lambda: mpm.signorini(wall, u, v), ParameterError, "needs a stiffness",
         ),
+        "wall with two moduli": (
+            lambda: mpm.signorini(wall, u, v, law=LAW, stiffness_per_area=1e3),
+            ParameterError, "law = .* leave out stiffness_per_area",
+        ),
         "other points": (
             lambda: problem(
                 F + mpm.dirichlet(
@@ -160,8 +164,8 @@ BAD = (
     "no such vertex", "triangles of floats", "no level", "nowhere", "level not finite", "side",
     "side of triangles", "no area", "rows", "no markers", "follows", "method", "no boundary",
     "value", "scalar value", "UFL value", "direction", "no direction", "no law", "both", "penalty",
-    "wall of a body", "friction", "wall without law", "other points", "late",
-    "total in space", "an empty cell",
+    "wall of a body", "friction", "wall without law", "wall with two moduli", "other points",
+    "late", "total in space", "an empty cell",
 )  # fmt: skip
 
 
