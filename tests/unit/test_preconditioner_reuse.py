@@ -126,8 +126,9 @@ def test_too_many_iterations_with_an_old_preconditioner_end_early(monkeypatch):
     ksp.solve(reuse, 1e3)
     reuse.prepare(ksp)
     assert reuse.old
-    # an iteration costs 1e3, and reduces the residual by three digits
-    assert reuse.most(1e-6, 500) == 18
+    # an iteration costs 1e3, and reduces the residual by three digits: 1.9 iterations, and 16.
+    # A whole number would depend on the rounding of PETSc's count of flops
+    assert reuse.most(2e-6, 500) == 18
     assert reuse.most(1e-6, 10) == 10
     ksp.reason = PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
     ksp.solve(reuse, 2e3)
