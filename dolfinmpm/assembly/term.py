@@ -58,6 +58,16 @@ class NewState:
 class ActiveTerm:
     """A term on an activation: forces as functions of the increments.
 
+    Who calls what, in this order, in a step of `QuasiStatic` or `Newmark`:
+
+    1. `Operator`, once: `stiffness`, `soft`, then `external`.
+    2. `Newton`, per residual: `move`, `touch`, `internal`; per tangent also `tangent`.
+       `QuasiStatic`, where forces balance: `augment`.
+    3. `new_state`, at the end: `update`, `fault`, and `follow` once it is known where the points
+       go; then `record`.
+
+    Explicit steps call `renew` or `external`, `internal`, and 3.
+
     Attributes:
         kind: "points", "boundary", "grid", "penalty", "contact" or "inertia"; sums of forces may
             leave out a kind.

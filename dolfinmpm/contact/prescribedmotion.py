@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -37,12 +38,14 @@ class PrescribedMotion:
         rate: The velocity or the increment per step, or None.
         absolute: Whether a rotation is a rotation vector in total.
         unit: Unit of the given numbers, in m or rad.
+        until: Time at which a constant is to have its value, at the end of several steps (s); by
+            default the end of each step.
 
     Raises:
         ParameterError: Two motions are given, or a motion has the wrong type or value.
     """
 
-    unit = 1.0
+    unit, until = 1.0, -math.inf
 
     def __init__(self, size: int, **motions: Any):
         kinds = dict(zip(motions, ("total", "velocity", "increment")))
@@ -57,7 +60,8 @@ class PrescribedMotion:
         self.given: Any = given
         self.rate: Any = rate
         self._first: Array = np.zeros(size)
-        self._reached: Array = np.zeros(size)
+        self._step: Array = np.zeros(size)
+        self._dt = 1.0
         if isinstance(given, fem.Constant):
             if given.value.size != size:
                 raise ParameterError(
@@ -89,18 +93,20 @@ class PrescribedMotion:
         answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))
         return vector(f"{self.name}({t:g})", answer, self.size)
 
-    def begin(self) -> None:
-        """Begin a substep: read the value of a constant at the end of the substep.
+    def begin(self, start: Array, t: float, dt: float) -> None:
+        """Begin a substep of length dt at t: read the value of a constant.
 
         Later in the substep, solvers set constants to their values at the time of the balance.
         """
         if isinstance(self.given, fem.Constant):
-            self._reached = np.array(self.given.value, float).ravel()
+            self._step = self.unit * np.array(self.given.value, float).ravel() - start
+            self._step *= dt / max(self.until - t, dt)
+            self._dt = dt
 
     def change(self, start: Array, t: float, dt: float) -> Array:
-        """Change from the start of a substep, at t, to dt later."""
+        """Change from the start of a substep, at t, to dt later; start is the motion so far."""
         if isinstance(self.given, fem.Constant):
-            return self.unit * (self._reached - self._first) - start
+            return np.asarray(dt / self._dt * self._step)
         if self.given is not None:
             return self.unit * (self.value(self.given, t + dt) - self._first) - start
         if self.rate is None or dt == 0.0:

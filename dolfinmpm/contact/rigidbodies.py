@@ -125,6 +125,17 @@ class RigidBodies:
                     "one problem can move it: make a body per problem, mpm.RigidBody(...)"
                 )
         self.own()
+        self.follow_constants(-math.inf)
+
+    def follow_constants(self, duration: float) -> None:
+        """Let constants that prescribe motions have their values after a duration.
+
+        Args:
+            duration: Time from now, of several steps (s); -inf: the end of each step.
+        """
+        for body in self.all:
+            for motion in body.prescribed_motions:
+                motion.until = body.time + duration
 
     def own(self) -> None:
         """Mark the bodies as moved by this problem."""

@@ -193,7 +193,7 @@ class RigidBody(ReadOnce):
 
     @functools.cached_property
     def half_thickness(self) -> float:
-        """Volume by surface (m): half the thickness of a plate; see `passing.half_thickness`."""
+        """Volume by surface (m): half the thickness of a plate; see `tunnelling.half_thickness`."""
         return half_thickness(self.surface)
 
     @property
@@ -232,8 +232,8 @@ class RigidBody(ReadOnce):
     def begin(self, dt: float) -> None:
         """Begin a step, or a substep, of the length dt (s; steps)."""
         self.dt = dt
-        for motion in self.prescribed_motions:
-            motion.begin()
+        for motion, start in zip(self.prescribed_motions, (self.start.shift, self.start.turn)):
+            motion.begin(start, self.time, dt)
 
     def put(self, share: float) -> None:
         """Move it to its pose at a share of the step."""

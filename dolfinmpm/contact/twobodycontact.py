@@ -206,7 +206,8 @@ def contact_between(
     cut anew at the grid's lines in every step. Then a uniform pressure balances a uniform stress.
 
     Where the gap is closed, a pressure κ |g| per area pushes the bodies apart. Friction follows
-    Coulomb's law, see `dolfinmpm.contact.contactlaw`. A bound of the penetration adds multipliers,
+    Coulomb's law, see `dolfinmpm.contact.contactlaw`; in time in the mean over a step, see
+    `dolfinmpm.contact.meanforces`. A bound of the penetration adds multipliers,
     see `contact`.
 
     In a step the bodies may approach by at most one cell. A step with a larger approach is halved.

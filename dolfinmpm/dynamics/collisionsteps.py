@@ -330,7 +330,7 @@ class CollisionSteps(ExplicitBase):
     ) -> dict[str, Array]:
         """New velocities and accelerations of the points."""
         points, mapping = self._problem.points, self._settings.mapping
-        share = mapping.share if mapping.kind == "flip" else 0.0
+        share = mapping.flip_share
         v, a = points["velocity"].copy(), np.zeros_like(points["x"])
         for s, own, V, V_end in zip(stencils, rows, before, after):
             change, there = (collect(s, values, len(points))[own] for values in (V_end - V, V_end))

@@ -112,14 +112,14 @@ class WallEnergy:
     its forces, and not of its energy. A stiff wall may so multiply the energy of an impact.
 
     Attributes:
-        done: Sum of the works (J).
+        done: Sum of the works in the steps taken (J).
     """
 
     def __init__(self) -> None:
         self.done = 0.0
 
     def judge(self, work: float, whole: float, dt: float, may_halve: bool) -> str | None:
-        """The reason to halve a step, or None. With None the step's work is added.
+        """The reason to halve a step, or None.
 
         Args:
             work: Work of the walls in the step (J).
@@ -143,7 +143,6 @@ class WallEnergy:
                     "the wall, or smaller steps"
                 )
             return reason
-        self.done += work
         return None
 
 

@@ -67,7 +67,8 @@ class ExplicitBase(ABC):
         Args:
             count: Number of steps.
             dt: Length of each step (s).
-            kick: Time during which forces act in the first step (s), see `Explicit`.
+            kick: Time during which forces act in the first step (s): half of the last step and half
+                of this one.
             more: Whether further steps follow without a new start.
             begin: Function from the number of a step to the `Step`. It sets the time in form and
                 conditions.

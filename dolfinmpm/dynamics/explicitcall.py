@@ -83,6 +83,7 @@ class ExplicitCall:
         problem, memory = self._problem, self._memory
         check_loads(problem.loads.items, problem.form.given, problem.bcs, problem.comm)
         problem._check_still_valid()
+        problem.bodies.follow_constants(self._whole)
         touched = memory.touched(problem.points)
         if touched:
             points = problem.points

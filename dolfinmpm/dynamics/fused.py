@@ -279,7 +279,7 @@ class FusedSteps:
             self._laws, self._arrays, self._window, self._settings.mapping
         )  # fmt: skip
         affine, _ = _AFFINE.get(mapping.kind, (0, None))
-        share = mapping.share if mapping.kind == "flip" else 0.0
+        share = mapping.flip_share
         data: tuple[Any, ...] = (*arrays.data, self._loads.body)
         if self._means is not None and means:
             data = (*data, self._means.sums, arrays.J_bar)

@@ -212,7 +212,7 @@ def kernel(
                         if affine or share < 1.0:
                             both = pushed + mapped
                             if not strain:
-                                # strains follow the new velocities, see `halfstep.taken`
+                                # strains follow the new velocities, see `halfstep.mapping_loss`
                                 both -= dv[k]
                             projected += mp * (pushed - mapped) * both
                         v[p, k] = v_new[k] if affine else mapped
@@ -266,7 +266,7 @@ def kernel(
                         spectrum(d, y, r, P, D)
                         if kind == LAW:
                             if d == 2:
-                                # by what does not cancel
+                                # by the determinant: a difference of eigenvalues would cancel
                                 r[2] = determinant(2, y) / r[1]
                             if not (r[2] > 0.0 and (d == 2 or r[0] > 0.0)):
                                 return np.intp(p), left, behind

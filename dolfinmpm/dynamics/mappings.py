@@ -105,6 +105,11 @@ class Mapping:
                 )
 
     @property
+    def flip_share(self) -> float:
+        """Share of the point's old velocity and its change; the remainder is the grid's."""
+        return self.share if self.kind == "flip" else 0.0
+
+    @property
     def affine(self) -> bool:
         """Whether the points carry an affine part of the velocity."""
         return self.kind in ("apic", "tpic")

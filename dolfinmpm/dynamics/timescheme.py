@@ -299,7 +299,7 @@ class NewmarkScheme(TimedScheme):
         self._load_at(problem, step, 0.5)
         may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings
         motions = motion.ends(operator, step.dt)
-        reason = self._judge(motions, operator.here, step.dt)
+        reason, largest = self._judge(motions, operator.here, step.dt)
         if reason is None:
             whole = motion.ledger.whole + held_work
             reason = motion.walls.judge(of_walls, whole, step.dt, may_halve)
@@ -307,20 +307,26 @@ class NewmarkScheme(TimedScheme):
             reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
         if reason is None:
             self.count(held_work)
+            motion.walls.done += of_walls
+            self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
 
-    def _judge(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> str | None:
-        """Bound the error of a step's displacement, and choose the next length. Collective."""
+    def _judge(
+        self, motions: Sequence[NodalMotion], here: Activation, dt: float
+    ) -> tuple[str | None, float]:
+        """Bound the error of a step's displacement, and choose the next length. Collective.
+
+        Returns:
+            The reason to halve the step, or None; and the largest displacement (m).
+        """
         if self.error is None:
-            return None
+            return None, 0.0
         clock, (found, largest) = self.clock, self.motion.errors(motions, here, dt)
         reason = clock.judge(dt, found, self.error * max(clock.largest, largest), 3)
-        if reason is None:
-            clock.largest = max(clock.largest, float(largest))
-        return reason
+        return reason, float(largest)
 
     def _end_free_bodies(self, problem: Any, operator: Operator, dt: float) -> None:
         """Give the free rigid bodies their velocities at the end of a step. Collective."""

@@ -63,7 +63,7 @@ class ParaView:
     F              9           -        deformation gradient
     l, l0          3           m        half-lengths of the GIMP domain
     stress         9           Pa       Cauchy stress
-    other fields   as it is    its own  meaning given to `points.add_field`
+    other fields   as it is    its own  of laws, contact, and `points.add_field`
     =============  ==========  =======  =======================================
 
     The unit is also in the file, as the array's UNITS_LABEL. The grid's cells carry

@@ -47,6 +47,7 @@ class Loads:
         self._start = [v if k is None else np.array(k) for v, k in zip(values, known)]
         self._target = values
         self.change: list[float] = []
+        self._last_change: list[float] = []
 
     @staticmethod
     def _array(item: Any) -> npt.NDArray[np.float64]:
@@ -64,9 +65,16 @@ class Loads:
         for item, start, target in zip(self.items, self._start, self._target):
             self._array(item)[...] = target if share >= 1 else start + share * (target - start)
 
-    def accept(self) -> None:
-        """Take the present values as the values of a converged state."""
+    def accept(self, whole: bool = True) -> None:
+        """Take the present values as the values of a converged state.
+
+        Args:
+            whole: False after an error, when the changes found by `jumps` were not made.
+        """
         self._start = self._read()
+        if not whole:
+            self.change = self._last_change
+        self._last_change = self.change
         for item in self.items:
             take_reached(item)
 
@@ -90,16 +98,16 @@ class Loads:
                 set_values(item, own.values)
             else:
                 item.value = own
-        self.accept()
         self.change = values["change"].tolist()
+        self.accept()
 
     def jumps(self) -> bool:
         """Whether a load jumps between the last converged state and its present value.
 
         A load jumps if it changes by more than half of the larger of the two values, and the
-        change in the step before was less than a tenth of this change.
+        change in the step before was less than a tenth of this change. `change` has the changes.
         """
-        before, self.change = self.change, []
+        before, self.change = self._last_change, []
         jumped = False
         for k, (start, target) in enumerate(zip(self._start, self._read())):
             change = float(np.abs(target - start).max(initial=0.0))

@@ -268,7 +268,7 @@ class QuasiStatic(Problem):
             self.bodies.reset()
             raise
         finally:
-            self.loads.accept()
+            self.loads.accept(whole)
             self.scheme.end(record if whole else None)
         self.share = share
         record.bodies |= self.bodies.record()

@@ -12,7 +12,7 @@ Only then the state is written.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +22,6 @@ from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import refuse_time
 from dolfinmpm.solve.step import Step, StepRecord
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["Scheme", "Static"]
 

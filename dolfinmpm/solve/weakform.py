@@ -39,7 +39,7 @@ Array = npt.NDArray[np.float64]
 class WeakForm:
     """A weak form over points and grid, prepared for activations. Collective.
 
-    It is the sum of the points' integrals and of other terms. It knows no term by name.
+    It is the sum of the points' integrals and of other terms.
 
     Args:
         form: Weak form, linear in the test functions.

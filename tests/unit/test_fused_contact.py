@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from contactscenes import ELASTIC, body, compressed, falls, grid_of, is_hit, is_ploughed, is_pressed
+from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import InstabilityError, ParameterError
@@ -84,6 +85,34 @@ def test_a_wedge_is_dragged_through_clay():
 @pytest.mark.parametrize("free", [False, pytest.param(True, marks=LONG)])
 def test_a_box_is_pressed_into_a_block(free):
     alike(is_pressed, 0.05, free=free, courant=0.4)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_a_constant_that_prescribes_a_motion_is_reached_evenly(fused):
+    """At the end of the call, not in its first step; also when it stays for a call."""
+    times, downs, found = [0.0, 0.02, 0.04, 0.06], [0.0, -0.003, -0.003, -0.005], []
+
+    def down(t):
+        return np.interp(t, times, downs)
+
+    for as_constants in (True, False):
+        grid = grid_of((0, 0), (2, 1.5), (8, 6))
+        points, V, F = body(grid, mpm.Box((0, 0), (2, 1)), ELASTIC, "gimp", weight=False)
+        d, angle = fem.Constant(grid, (0.0, 0.0)), fem.Constant(grid, 0.0)
+        motion = {"displacement": lambda t: (0.0, down(t)), "rotation": lambda t: 1e2 * down(t)}
+        if as_constants:
+            motion = {"displacement": d, "rotation": angle}
+        plate = mpm.RigidBody(mpm.Box((0.5, 1.0), (1.5, 1.5)), **motion)
+        F += mpm.contact(plate, points, V.increment, V.test)
+        problem = mpm.Explicit(F, V.increment, points, mpm.fixed(V, "bottom"), fused=fused)
+        for t in times[1:]:
+            d.value[1], angle.value = down(t), 1e2 * down(t)
+            record = problem.step(t)
+        assert record.parts > 2
+        order = np.argsort(points["id"])
+        found.append((points["x"][order], plate.position, plate.angle, plate.force))
+    for one, other in zip(*found):
+        assert np.abs(one - other).max() <= 1e-9 * np.abs(other).max()
 
 
 def test_a_call_for_each_step():

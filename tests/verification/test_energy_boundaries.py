@@ -128,6 +128,28 @@ def test_a_stiff_wall_that_multiplies_energy_is_refused(kind, options):
     assert e.kinetic + e.strain + e.contact < 2.0 * e.initial
 
 
+def test_a_refused_step_adds_no_work_of_walls(monkeypatch):
+    """A later check may refuse a step that the check of walls has let pass."""
+    problem, _ = bar(mpm.Newmark, "wall", 0.0, (0.0, -1.0), **IMPLICIT)
+    motion = problem.scheme.motion
+    while not problem.energies().contact > 0.0:
+        problem.step(problem.time + 2e-3)
+    done, own = motion.walls.done, type(motion).to_points
+    assert done < 0.0
+    refused = []
+
+    def refuse(self, *args):
+        reason = own(self, *args) if refused else "refused once"
+        if not refused:
+            refused.append(self.walls.done)
+        return reason
+
+    monkeypatch.setattr(type(motion), "to_points", refuse)
+    record = problem.step(problem.time + 2e-3)
+    assert record.halvings == 1
+    assert refused == [done]
+
+
 def test_infinite_friction_of_a_wall_ends_with_the_contact():
     """The wall had held the body after it had lifted off."""
     problem, wall = bar(mpm.Explicit, "wall", math.inf, (2.0, -1.0))
