@@ -9,14 +9,14 @@ What comes out with `--refine --h 0.25`, means of the last 2 R of the way, in % 
 | clay | way | I_r = 50 | 100 | 300 |
 |---|---|---|---|---|
 | Tresca | 8 R | +6.1 | +6.6 | -2.2 |
-| Tresca | 16 R | | +10.1 | +5.0 |
+| Tresca | 16 R | | +10.2 | +5.0 |
 | Tresca | 22 R | | | +7.2 |
 | von Mises, `--criterion shear` | 8 R | | -4.4 | |
 | von Mises, `--criterion shear` | 16 R | | | -6.3 |
 | von Mises, `--criterion compression` | 8 R | | +7.2 | |
 
 Hence the way and the law decide, and the resistance after 8 R is not the steady one. For I_r = 100
-it ends 0.7 % below Lu's. For I_r = 300 it ends 7 % above, and grows by 0.2 % per R. In cells of R/8
+it ends 0.6 % below Lu's. For I_r = 300 it ends 7 % above, and grows by 0.2 % per R. In cells of R/8
 Tresca's clay of I_r = 100 finds +6.0 % after 8 R and +8.8 % after 14 R; von Mises' clay finds after
 8 R -5.0 % by shear, +6.9 % by compression, and +7.4 % by compression for I_r = 50.
 
