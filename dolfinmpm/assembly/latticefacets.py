@@ -61,6 +61,8 @@ def splines_between(knots: Array, x: Array, order: int) -> Array:
         order: Order of the derivative.
     """
     p = knots.size // 2
+    if order > p:
+        return np.zeros((x.size, p + 1))
     values: Array = np.ones((x.size, 1))
     for k in range(1, p + 1):
         # functions p − k + 1 ... p of degree k − 1 begin at `start` and end at `end`

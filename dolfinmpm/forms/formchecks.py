@@ -22,10 +22,18 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.formsigns import MARK
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import PointOperator
 from dolfinmpm.forms.weightchecks import check_weights
 
-__all__ = ["check_fields", "check_form", "check_laws", "check_levels", "check_signs"]
+__all__ = [
+    "check_fields",
+    "check_form",
+    "check_laws",
+    "check_levels",
+    "check_moving",
+    "check_signs",
+]
 
 
 def check_form(form: Any) -> None:
@@ -170,6 +178,25 @@ def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
                     "and stresses would have the wrong sign: write F = mpm.momentum(...), and "
                     "subtract loads"
                 )
+
+
+def check_moving(laws: Sequence[Declaration], increments: Sequence[Any]) -> None:
+    """Refuse laws of a displacement that moves no points.
+
+    Args:
+        laws: Declarations of the laws in a form.
+        increments: Increments of the fields that move points.
+
+    Raises:
+        FormError: A law is of another increment, so that its strains would never add up.
+    """
+    for law in laws:
+        if not any(law.u is u for u in increments):
+            raise FormError(
+                f"mpm.momentum of {law.law!r} is of a displacement that moves no points: the first "
+                "field of a problem moves them, or the displacements whose Spaces have tags; give "
+                "this increment first"
+            )
 
 
 def _check_numbers(integrand: Expr) -> None:

@@ -14,7 +14,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formsigns import FACETS
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.operators import PointOperator
-from dolfinmpm.forms.termqueries import brief
+from dolfinmpm.forms.termqueries import brief, check_solved_for
 
 __all__ = ["by_measure", "check_derivatives"]
 
@@ -109,6 +109,7 @@ def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
     for c in extract_coefficients(term):
         if isinstance(c, fem.Function) and c.function_space.mesh is not spaces[0].grid:
             raise FormError(f"the function '{c}' in '{brief(term)}' lives on another mesh")
+        check_solved_for(c, spaces)
         if isinstance(c, (PointField, PointOperator)):
             raise FormError(
                 f"'{c}' lives at the material points, but '{brief(integral.integrand())}' is "

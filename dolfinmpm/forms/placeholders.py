@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.termqueries import check_solved_for
 
 __all__ = ["Placeholders"]
 
@@ -154,13 +155,14 @@ class Placeholders(MultiFunction):
         raise FormError(f"'{o}' has no values at material points")
 
     def _function(self, o, gradient: bool):
-        if hasattr(o, "_dolfinmpm_space"):
-            raise FormError(
-                f"'{o}' is the increment of a space that the problem does not solve for; give this "
-                "increment to the problem as an unknown"
-            )
+        check_solved_for(o, self.spaces)
         if o.function_space.mesh is not self.points.grid:
             raise FormError(f"the function '{o}' lives on another mesh than the material points")
+        if o.function_space.ufl_element().element_family is None:
+            raise FormError(
+                f"the function '{o}' of a mixed or quadrature element has no values at material "
+                "points: interpolate it, or a part of it, into a Lagrange or DG space"
+            )
         if (o, gradient) not in self.functions:
             self.functions.append((o, gradient))
         shape = (*o.ufl_shape, self.points.gdim) if gradient else o.ufl_shape

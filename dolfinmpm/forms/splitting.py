@@ -20,6 +20,7 @@ from dolfinmpm.forms.integrals import by_measure, check_derivatives
 from dolfinmpm.forms.lawderivatives import differentiate_through_laws
 from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
+from dolfinmpm.forms.subdomainchecks import check_subdomains
 from dolfinmpm.forms.tagchecks import TagChecks, tags_by_term
 from dolfinmpm.forms.termqueries import brief, operators_in, tags_of, term_of
 
@@ -116,7 +117,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     as_given = [i for i in form.integrals() if (i.metadata() or {}).get("points") == points.number]
     form = expand_derivatives(differentiate_through_laws(form))
     at_points, at_markers, ordinary = by_measure(form, spaces, points, of_markers)
-    _check_tags(ordinary)
+    check_subdomains(ordinary, points.grid)
     others = [(repr(term), term.tags) for term in terms if not term.sides]
     for number, boundary in of_markers.items():
         name = f"a term over {boundary!r}"
@@ -259,20 +260,6 @@ def _without_terms(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, li
             raise FormError(f"{term!r} is of material points that the problem does not move")
         terms.append(term)
     return (ufl.Form(others), terms) if terms else (form, terms)
-
-
-def _check_tags(integrals) -> None:
-    """Refuse two taggings for one kind of integral, because DOLFINx takes only one."""
-    seen: dict[str, Any] = {}
-    for integral in integrals:
-        data, kind = integral.subdomain_data(), integral.integral_type()
-        if data is None:
-            continue
-        if seen.setdefault(kind, data) is not data:
-            raise FormError(
-                f"the term '{brief(integral.integrand())}' has other subdomain data than another "
-                f"{kind} term of the form; put all tags of a kind into one MeshTags"
-            )
 
 
 def _regions(

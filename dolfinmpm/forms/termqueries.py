@@ -16,6 +16,7 @@ from dolfinmpm.forms.operators import PointOperator
 
 __all__ = [
     "brief",
+    "check_solved_for",
     "operators_in",
     "stiffness_per_area",
     "summands",
@@ -45,6 +46,15 @@ def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
         isinstance(c, PointOperator) or any(c is u for u in increments)
         for c in extract_coefficients(expression)
     )
+
+
+def check_solved_for(function: Any, spaces: Sequence[Any]) -> None:
+    """Raise FormError if a function is the increment of none of the spaces, but of another one."""
+    if hasattr(function, "_dolfinmpm_space") and not any(function is s.increment for s in spaces):
+        raise FormError(
+            f"'{function}' is the increment of a space that the problem does not solve for; give "
+            "this increment to the problem as an unknown"
+        )
 
 
 def term_of(integral) -> Any:

@@ -31,6 +31,7 @@ from dolfinmpm.cut.activation import Activation, Field, movers
 from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, in_words
+from dolfinmpm.forms.formchecks import check_moving
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.kinematics.nitsche import WeakCondition
 from dolfinmpm.kinematics.walls import Wall
@@ -139,7 +140,7 @@ def refuse_time(t: Any, problem: str) -> None:
 
 
 def check_field_tags(fields: Sequence[Field], form: WeakForm) -> None:
-    """Raise unless exactly one field moves each point, where fields have tags. Collective.
+    """Raise unless one field moves each point, and laws are of such fields. Collective.
 
     Args:
         fields: Fields of a problem.
@@ -148,8 +149,10 @@ def check_field_tags(fields: Sequence[Field], form: WeakForm) -> None:
     Raises:
         ParameterError: Two displacements share a tag, no field moves a point, or a displacement
             without tags would move points of another displacement.
+        FormError: A law is of a field that moves no points.
     """
     spaces = [field.space for field in fields]
+    check_moving(form.parts.declarations, [spaces[k].increment for k in movers(spaces)])
     if all(space.tags is None for space in spaces):
         return
     points = form.points

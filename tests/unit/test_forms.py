@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import basix.ufl
 import numpy as np
 import pytest
 import ufl
@@ -123,8 +124,51 @@ def test_two_taggings_of_one_kind(scene):
 
 
 def test_an_increment_that_is_not_solved_for(scene):
-    other = mpm.Space(scene[0], "gimp")
-    refused(scene, lambda p, u, v: mpm.momentum(LAW, p, other.increment, v), "does not solve for")
+    other, match = mpm.Space(scene[0], "gimp").increment, "does not solve for"
+    refused(scene, lambda p, u, v: mpm.momentum(LAW, p, other, v), match)
+    base = mpm.momentum(LAW, scene[1], scene[2].increment, scene[2].test)
+    refused(scene, lambda p, u, v: base + ufl.inner(other, v) * p.dC, match)
+    refused(scene, lambda p, u, v: base + ufl.inner(other("+"), v("+")) * p.dS, match)
+
+
+def test_a_law_of_a_field_that_moves_no_points(scene):
+    grid, points, V = scene
+    Q = mpm.Space(grid, "linear", shape=())
+    F = mpm.momentum(LAW, points, V.increment, V.test) + Q.increment * Q.test * points.dX
+    mpm.QuasiStatic(F, [V.increment, Q.increment], points)
+    with pytest.raises(FormError, match="moves no points: the first field"):
+        mpm.QuasiStatic(F, [Q.increment, V.increment], points)
+
+
+@pytest.mark.parametrize("kind", ["ds", "dx", "dS", "points.dC", "points.dS"])
+def test_subdomains_where_nothing_is(scene, kind):
+    """Such terms vanished without a message."""
+    grid, points, V = scene
+    base = mpm.momentum(LAW, points, V.increment, V.test)
+    v = V.test[0]("+") if kind.endswith("dS") else V.test[0]
+    if kind.startswith("points"):
+        refused(scene, lambda p, *_: base + v * getattr(p, kind[-2:])(3), f"restricts {kind}")
+        return
+    dim = 2 if kind == "dx" else 1
+    tags = [
+        mesh.meshtags(grid, d, np.arange(4, dtype=np.int32), np.full(4, 7, np.int32))
+        for d in (dim, 3 - dim)
+    ]
+    right, wrong = (ufl.Measure(kind, grid, subdomain_data=t) for t in tags)
+    refused(scene, lambda *_: base + v * ufl.Measure(kind, grid)(7), "no subdomain data tell")
+    refused(scene, lambda *_: base + v * right((7, 8)), "nothing has the tag 8")
+    refused(scene, lambda *_: base + v * wrong(7), f"tags of entities of dimension {3 - dim}")
+    mpm.QuasiStatic(base + v * right(7), V.increment, points)
+
+
+def test_functions_without_values_at_points(scene):
+    """That of a quadrature element had ended the process."""
+    cell = "quadrilateral"
+    mixed = basix.ufl.mixed_element([basix.ufl.element("Lagrange", cell, 1)] * 2)
+    for element in (basix.ufl.quadrature_element(cell, degree=2), mixed):
+        w = fem.Function(fem.functionspace(scene[0], element), name="w")
+        part = w if w.ufl_shape == () else w[0]
+        refused(scene, lambda p, u, v, c=part: c * v[0] * p.dX, "'w' of a mixed or quadrature")
 
 
 def test_not_a_form_and_not_an_increment(scene):
@@ -249,3 +293,26 @@ def test_grid_terms_keep_what_is_there_without_increments(measure):
     expected = moved(joint=False)
     assert np.abs(expected).max() > 0.1
     np.testing.assert_allclose(moved(joint=True), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("basis", "order"), [("linear", 2), ("gimp", 3), ("bspline2", 3)])
+def test_derivatives_above_the_degree_are_zero(scene, basis, order):
+    """Their jumps had counted as those of the highest derivative that is not zero."""
+    grid = scene[0]
+    V = mpm.Space(grid, basis)
+
+    def settled(factor):
+        body = mpm.fill(grid, mpm.Box((0, 0), (1, 0.7)), 2, 1.0)
+        u, v, n = V.increment, V.test, ufl.FacetNormal(grid)
+
+        def normal(w):
+            for _ in range(order):
+                w = ufl.dot(ufl.grad(w), n)
+            return w
+
+        F = mpm.momentum(LAW, body, u, v) - ufl.inner(ufl.as_vector((0.0, -1.0)), v) * body.dX
+        F += factor * ufl.inner(ufl.jump(normal(u)), ufl.jump(normal(v))) * body.dS
+        mpm.QuasiStatic(F, u, body, mpm.fixed(V, "bottom")).step()
+        return body["x"]
+
+    np.testing.assert_allclose(settled(1e3), settled(0.0), rtol=0, atol=1e-12)
