@@ -26,6 +26,8 @@ _UNKNOWN, _ALIKE, _ZERO = 0.5, 0.95, 1e-7
 # Distance from a bound within which a parameter can be called at it, as a change of its logarithm
 # or as a share of its size; and share of its start below which it can be said to go towards 0
 _NEAR, _SMALL = 0.05, 1e-3
+# Bound of weighted measurements, far from where numbers end
+_HUGE = 1e200
 
 
 @dataclass
@@ -122,9 +124,9 @@ def calibrate(
 ) -> Calibration:
     """Find the parameters of an example that fit measurements best. Collective.
 
-    SciPy's `least_squares` takes residuals and one-sided derivatives from one run of
-    `differentiate` each. Positive parameters are sought by their logarithm. A run that fails
-    shortens the step.
+    SciPy's `least_squares` takes residuals and derivatives from one call of `differentiate` each.
+    Positive parameters are sought by their logarithm. A run that fails shortens the step.
+
     Confidence intervals follow from the derivatives at the best fit, with the variance of the
     residuals there, (Σ r²)/(n − p), and Student's distribution: see Seber & Wild (1989),
     *Nonlinear regression*, section 2.1. They hold for independent errors of the measurements.
@@ -229,6 +231,12 @@ def _measurements(
                 f"weights['{name}'] = {shown(given)} must be zero or positive, a number or an "
                 f"array of the shape {values.shape} of the measurements"
             )
+        largest = np.max(given, initial=0.0) * max(largest, 1.0)
+        if not largest < _HUGE:
+            raise ParameterError(
+                f"weights['{name}'] = {shown(given)} times the measurements is {largest:.3g}, and "
+                f"must be below {_HUGE:g}: weights are one over standard deviations"
+            )
         scaled[name] = np.broadcast_to(given, values.shape)
     if scaled and all(w.size and not w.any() for w in scaled.values()):
         raise ParameterError("weights are all zero: let some measurement count")
@@ -287,8 +295,8 @@ def _judged(
     with np.errstate(invalid="ignore"):
         spread = np.array([[_sum(inverse * parts[:, i] * parts[:, j]) for j in range(p)]
                            for i in range(p)])  # fmt: skip
-    # without a variance, covariances that are zero stay so
-    covariance = np.where(spread == 0, 0.0, variance) * spread
+    # without a variance, covariances that are zero stay so; what is not told is so in any case
+    covariance = np.where(spread == 0, 0.0, np.where(np.isinf(spread), 1.0, variance)) * spread
     width = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):
         correlation = spread / np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
@@ -299,8 +307,9 @@ def _judged(
     if n == p:
         notes.append(f"{n} measurements for {p} parameters leave no variance to see: measure more")
     return Calibration(
-        parameters, intervals, covariance, correlation, values, directions,
-        float(np.sqrt(np.mean(r**2))), figures, data, residuals.trace, notes, found.message,
+        parameters, intervals, covariance, correlation, residuals.unit * values, directions,
+        residuals.unit * float(np.sqrt(np.mean(r**2))), figures, data, residuals.trace, notes,
+        found.message,
     )  # fmt: skip
 
 
@@ -363,10 +372,10 @@ def _ends(
                 "intervals do not hold there"
             )
             continue
-        # a change of the logarithm by -1 is one of the parameter down to 0
+        # a change of the logarithm by -1 is one of the parameter down to 0, up to rounding
         fallen = residuals.positive(name) and x[i] < np.log(_SMALL)
         lost = square <= (_ZERO * float(np.abs(slopes).max())) ** 2
-        if fallen and (step <= -1.0 or lost):
+        if fallen and (step <= -0.5 or lost):
             notes.append(
                 f"{name} = {value:.3g} goes towards 0, which its logarithm does not reach, and "
                 "intervals do not hold there: give a bound, or leave the parameter out; if it may "

@@ -30,9 +30,6 @@ _Found = dict[str, dict[str, list[Array]]]
 # rounding is 1e-16 over it, times 10 to 100 from the solution. The third derivative counts with its
 # square, the second with itself.
 CENTRAL, ONE_SIDED = 1e-6, 8e-8
-# The force of a `RigidFooting` is its stiffness times a gap of some 1e-7 m, which is the difference
-# of two places in metres. It has 9 digits or fewer, and needs a larger perturbation.
-_FOOTING = 1e-5
 # Ratio of the second perturbation of an estimate to the first one, and the estimated error from
 # which a derivative is doubtful
 _SECOND, _DOUBTFUL = 8.0, 1e-3
@@ -120,12 +117,13 @@ def differentiate(
             is zero needs a size.
         central: Whether two runs per parameter, at m ± ε Δm, begin at once. Their difference has
             two more digits, and takes twice the time. By default only for estimates of errors, for
-            paths of `ArcLength`, with a `RigidFooting`, and for steps that are an iterator, because
-            a run that begins later cannot leave them out.
+            paths of `ArcLength`, with a `RigidFooting` or a `UMAT`, and for steps that are an
+            iterator, because a run that begins later cannot leave them out.
         epsilon: Perturbation of a parameter, as a share of Δm: by default 8e-8, and 1e-6 for two
             runs per parameter. With a `RigidFooting` it is 1e-5, because few digits of its load
-            are known. Positions x are rounded, so that derivatives of a motion u have errors of
-            some 1e-16 |x| / (ε |u|): for tiny motions take central=True, and 1e-5.
+            are known, and with a `UMAT` 1e-4, because its substeps may change. Positions x are
+            rounded, so that derivatives of a motion u have errors of some 1e-16 |x| / (ε |u|): for
+            tiny motions take central=True, and 1e-5.
         estimate: Whether to estimate errors by a second perturbation, 8 times as large, in twice
             the time of two runs per parameter. A derivative that does not exist differs from one
             perturbation to another.
@@ -305,7 +303,7 @@ def _epsilon(base: FollowedRun, both: bool) -> float:
     """
     if not both:
         return ONE_SIDED
-    return _FOOTING if base.has_footing else CENTRAL
+    return base.rough or CENTRAL
 
 
 def _change(name: str, value: float, size: float, epsilon: float) -> float:

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import check_kind, coordinates
 from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError
 from dolfinmpm.body.footing import seats
+from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import Events, Marks, RunState, differences, has_mirror, mirror
@@ -29,6 +30,10 @@ _UNSETTLED = (
     "forces remain that the tangent does not remove (it may not be the derivative of the forces, "
     "or they are rounded, as those of a stiff footing), so that derivatives may be wrong"
 )
+# The force of a `RigidFooting` is its stiffness times a gap of some 1e-7 m, which is the difference
+# of two places in metres: it has 9 digits or fewer. Where a UMAT chooses substeps by an error, its
+# stress jumps by some 1e-7 from one number of substeps to the next, which nobody can tell.
+_FOOTING, _UMAT = 1e-5, 1e-4
 
 
 class FollowedRun:
@@ -72,12 +77,15 @@ class FollowedRun:
         cannot be left out by a run that begins later.
         """
         paths = any(isinstance(problem, ArcLength) for problem in self.problems)
-        return paths or self.has_footing or not isinstance(self.run.steps, Sequence)
+        return paths or self.rough is not None or not isinstance(self.run.steps, Sequence)
 
     @property
-    def has_footing(self) -> bool:
-        """Whether a `RigidFooting` holds faces: its force follows from tiny gaps between places."""
-        return any(seats(problem.form.given) for problem in self.problems)
+    def rough(self) -> float | None:
+        """Perturbation, as a share, above the roughness of the figures; None if they are smooth."""
+        forms = [problem.form for problem in self.problems]
+        if any(isinstance(law.law, UMAT) for form in forms for law in form.parts.declarations):
+            return _UMAT
+        return _FOOTING if any(seats(form.given) for form in forms) else None
 
     def leave_out(self, steps: int) -> None:
         """Leave out the next steps."""

@@ -37,6 +37,9 @@ class WeightedResiduals:
     Attributes:
         trace: Rows of the trace.
         count: Number n of the measurements that count, which have residuals.
+        unit: Unit of the residuals: the largest weighted measurement, or the largest weighted
+            figure of the first run if all measurements are zero. So weights have no effect on
+            where iterations end.
     """
 
     def __init__(
@@ -49,15 +52,23 @@ class WeightedResiduals:
         # a residual of weight zero would be a degree of freedom that tells nothing
         self._keep = {k: np.isfinite(v) & (weights[k] > 0) for k, v in measured.items()}
         self.count = sum(int(keep.sum()) for keep in self._keep.values())
+        self.unit = self._largest(measured)
         self.trace: list[dict[str, Any]] = []
         self._comm: MPI.Intracomm = MPI.COMM_SELF
         self._known: dict[bytes, tuple[Array, Array, dict[str, Array]]] = {}
 
+    def _largest(self, values: Mapping[str, Array]) -> float:
+        """Largest weighted value where a measurement counts."""
+        sizes = [(self._weights[k] * np.abs(values[k]))[keep] for k, keep in self._keep.items()]
+        return max(float(one.max(initial=0.0)) for one in sizes)
+
     def at(self, x: Array) -> dict[str, float]:
         """Parameters at coordinates: ln (m / start) of positive ones, (m − start) / size."""
+        with np.errstate(over="ignore"):
+            factors = np.exp(x)
         return {
-            name: value * float(np.exp(q)) if value > 0 else value + float(q) * self._sizes[name]
-            for (name, value), q in zip(self._start.items(), x)
+            name: value * float(factor) if value > 0 else value + float(q) * self._sizes[name]
+            for (name, value), q, factor in zip(self._start.items(), x, factors)
         }
 
     def positive(self, name: str) -> bool:
@@ -81,8 +92,8 @@ class WeightedResiduals:
         """Residuals, their derivatives, and figures, of a run at coordinates. Collective.
 
         Returns:
-            Residuals, shape (n,), their derivatives by the coordinates, shape (n, p), and name →
-            figures. Residuals of a run that failed are inf, and its derivatives NaN.
+            Residuals over `unit`, shape (n,), their derivatives by the coordinates, shape (n, p),
+            and name → figures. Residuals of a run that failed are inf, and its derivatives NaN.
 
         Raises:
             ParameterError: A figure that was measured is missing or has another shape, or a figure
@@ -100,7 +111,7 @@ class WeightedResiduals:
         scales = {k: self._sizes[k] for k, value in self._start.items() if value <= 0}
         residuals, slopes = np.full(self.count, np.inf), np.full((self.count, x.size), np.nan)
         try:
-            found = differentiate(self._built, m, scales=scales, central=False)
+            found = differentiate(self._built, m, scales=scales)
         except (ConvergenceError, PointsOutsideGridError, StateError) as error:
             if not self.trace:
                 raise
@@ -116,8 +127,9 @@ class WeightedResiduals:
                     "measurement"
                 )
             if not failed:
+                self.unit = self.unit or self._largest(figures) or 1.0
                 residuals, slopes = self._comm.bcast(self._weighted(found))
-        misfit = float(np.sqrt(np.mean(residuals**2)))
+        misfit = self.unit * float(np.sqrt(np.mean(residuals**2)))
         row = {**m, "misfit": misfit, "failed": failed}
         self.trace.append(row)
         if self._say is not None:
@@ -125,14 +137,15 @@ class WeightedResiduals:
         return residuals, slopes, figures
 
     def _weighted(self, found: Derivatives) -> tuple[Array, Array]:
-        """Weighted residuals, shape (n,), and their derivatives, shape (n, p)."""
+        """Residuals over `unit`, shape (n,), and their derivatives, shape (n, p)."""
+        weights = {k: w / self.unit for k, w in self._weights.items()}
         residuals = [
-            (self._weights[k] * (found.figures[k] - values))[self._keep[k]]
+            (weights[k] * (found.figures[k] - values))[self._keep[k]]
             for k, values in self._measured.items()
         ]
         slopes = [
             np.stack([(w * d)[self._keep[k]] for d in found.derivatives[k].values()], axis=-1)
-            for k, w in self._weights.items()
+            for k, w in weights.items()
         ]
         return np.concatenate(residuals), np.concatenate(slopes)
 

@@ -193,6 +193,7 @@ def test_ends_of_parameters_are_told():
         ({"E": 1e4}, {"y": "soft"}, {}, "must be numbers"),
         ({"E": 1e4}, {"y": [1.0]}, {"weights": {"y": 0.0}}, "weights are all zero"),
         ({"E": 1e4}, {"y": [1.0]}, {"weights": {"y": np.inf}}, "must be zero or positive"),
+        ({"E": 1e4}, {"y": [9.0]}, {"weights": {"y": 1e200}}, "must be below 1e.200"),
         ({"E": 1e4}, {"y": [1.0]}, {"weights": 2.0}, "must be a dictionary of numbers"),
         ({"E": 1e4}, {"y": [1.0]}, {"bounds": 2.0}, "must be a dictionary of pairs"),
         ({"E": 1e4}, {"y": [1.0]}, {"bounds": {"E": (2e4, 1e3)}}, "least below the largest"),
@@ -223,3 +224,25 @@ def test_runs_that_end_before_the_best_fit():
     enough = study.calibrate(of_steps(grown), {"a": 1.0}, {"y": y})
     assert enough.parameters["a"] == pytest.approx(0.3, rel=1e-6)
     assert not any("max_runs" in note for note in enough.notes)
+
+
+@pytest.mark.parametrize("weight", [1e-150, 1e-8, 1e150])
+def test_units_of_weights_have_no_effect(weight):
+    """Iterations had ended at the start with small weights, and in nan with large ones."""
+    start, y = {"a": 2.0, "b": 3.0}, [0.9, 3.1, 5.2, 6.9, 9.1, 11.0]
+    one, other = (
+        study.calibrate(of_steps(line), start, {"y": y}, scales=start, weights={"y": w})
+        for w in (1.0, weight)
+    )
+    assert other.parameters == pytest.approx(one.parameters, rel=1e-6)
+    assert other.intervals["a"] == pytest.approx(one.intervals["a"], rel=1e-6)
+    assert other.misfit == pytest.approx(weight * one.misfit, rel=1e-6)
+
+
+def test_measurements_of_zero():
+    """The note about a parameter without an end was not there, and intervals were nan."""
+    fit = study.calibrate(of_steps(lambda m, _: m["a"]), {"a": 5e6}, {"y": np.zeros(6)})
+    assert any("goes towards 0" in note for note in fit.notes)
+    fit = study.calibrate(of_steps(lambda *_: 0.0), {"a": 5e6}, {"y": np.zeros(6)})
+    assert fit.intervals["a"] == (0.0, np.inf)
+    assert fit.notes == ["the measurements do not depend on a^+1.00"]

@@ -19,6 +19,7 @@ from dolfinmpm.materials import Law, Parameter, law_kernel
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
 from derivative_scenes import SOFT, column, errors_of, mean_of, motion_of
+from umats import ELASTIC, NEEDS_FORTRAN, written
 
 GIVEN = {"p0": 2e3, "G": 6e3, "load": 300.0, "share": 1.0}
 
@@ -102,3 +103,24 @@ def test_motions_that_are_lost_in_the_rounding_of_positions_are_told(tmp_path):
     assert max(errors_of(column, stiff, more, 1e-3).values()) < 1e-6
     # what does not move at all has no such errors
     assert not study.differentiate(column, SOFT).notes
+
+
+@NEEDS_FORTRAN
+def test_umats_whose_stress_jumps_as_their_substeps_do(tmp_path):
+    """A jump of 1e-7 of the stress beside the strain of the run had more than doubled the slope."""
+    jump = "if (abs(dstran(2)) > 0.0025d0*(1 + 4d-8)) stress = stress*(1 + 1d-7)"
+    law = written(tmp_path, ELASTIC + jump)
+
+    def pressed(m):
+        grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+        points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
+        V = mpm.Space(grid, "gimp")
+        F = mpm.momentum(law, points, V.increment, V.test, strain="small")
+        bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-m["way"])
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+        figures = {"stress": lambda: mean_of(points, points["stress"][:, 1, 1])}
+        return study.Run(problem, [problem.step], figures)
+
+    found = study.differentiate(pressed, {"way": 0.01})
+    ratio = found.derivatives["stress"]["way"] / found.figures["stress"]
+    np.testing.assert_allclose(ratio, 1.0, atol=1e-3)
