@@ -168,6 +168,25 @@ class Evaluation(ActiveTerm):
         """
         self.failure = PointFailure(point, "")
 
+    def not_finite(self) -> PointFailure | None:
+        """A point of this rank whose increments are finite, and its terms are not, or None."""
+        known = np.ones(len(self._points), bool)
+        for values in (*self.value, *self.gradient):
+            known &= np.isfinite(values.reshape(known.size, -1)).all(axis=1)
+        for region in self.regions:
+            order, groups = region.part.stencils[0].order, region.part.stencils[0].groups
+            for program in filter(None, (region.terms.external, region.terms.internal)):
+                for first, last, (flux,) in region.run([program], False):
+                    rows = order[groups[first] : groups[last]]
+                    bad = rows[known[rows] & ~np.isfinite(flux).all(axis=1)]
+                    if bad.size:
+                        cause = (
+                            "a term of the form is not finite there: look at its divisions, roots "
+                            "and logarithms, and at fields of the points"
+                        )
+                        return PointFailure(int(bad[0]), cause)
+        return None
+
     def run(
         self, placeholders: Placeholders, program: Program, rows: npt.NDArray[np.integer]
     ) -> Array:

@@ -140,7 +140,7 @@ class Region:
             yield first, last
             first = last
 
-    def _run(
+    def run(
         self, programs: Sequence[Program], tangent: bool
     ) -> Iterator[tuple[int, int, list[Array]]]:
         """Run operators and programs, chunk by chunk, in the order of the stencils.
@@ -249,7 +249,7 @@ class Region:
         self.failure = None
         if program is None:
             return
-        for first, last, (flux,) in self._run([program], False):
+        for first, last, (flux,) in self.run([program], False):
             for s, column, nodal in zip(self.part.stencils, self._columns, out):
                 add_vector(s, first, last, flux, column, nodal)
 
@@ -267,7 +267,7 @@ class Region:
         left = {k: [c.forces(f.components) for c, f in self._coupled()] for k in means}
         programs = [terms.tangent[pair].program for pair in pairs]
         programs += [terms.by_mean[k] for k in means]
-        for first, last, values in self._run(programs, True):
+        for first, last, values in self.run(programs, True):
             for (i, j), value in zip(pairs, values):
                 block = terms.tangent[i, j]
                 slope = Slope(value, block.row_value, block.value)

@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import FormError, call_together
 from dolfinmpm.body.formsigns import FACETS
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.forms.termqueries import brief
@@ -64,25 +64,29 @@ def _tags_of(integral: Any) -> Iterator[int]:
 
 
 def _check_tag(tag: int, data: Any, term: str, kind: str, grid: Mesh) -> None:
-    """Refuse a tag that no entity of the right dimension has. Collective if data are given."""
+    """Refuse a tag that no entity of the right dimension has. Collective."""
+    here = call_together(grid.comm, lambda: _has(data, tag, term, kind, grid))
+    if not grid.comm.allreduce(here, op=MPI.LOR):
+        raise FormError(
+            f"{term} is integrated over {_SYMBOLS[kind]}({tag}), and nothing has the tag {tag} in "
+            "its subdomain data, on any rank: the term would vanish"
+        )
+
+
+def _has(data: Any, tag: int, term: str, kind: str, grid: Mesh) -> bool:
+    """Whether an entity of this rank has a tag."""
     symbol = _SYMBOLS[kind]
     if data is None:
         raise FormError(
             f"{term} is integrated over {symbol}({tag}), and no subdomain data tell where that "
             f'is: give them, ufl.Measure("{symbol}", domain=grid, subdomain_data=tags)({tag})'
         )
-    if isinstance(data, MeshTags):
-        dim = grid.topology.dim - (kind != "cell")
-        if data.dim != dim:
-            raise FormError(
-                f"{term} is integrated over {symbol}, and its subdomain data are tags of entities "
-                f"of dimension {data.dim}: give tags of dimension {dim}"
-            )
-        here = bool(np.any(data.values == tag))
-    else:
-        here = any(int(number) == tag and len(entities) for number, entities in data)
-    if not grid.comm.allreduce(here, op=MPI.LOR):
+    if not isinstance(data, MeshTags):
+        return any(int(number) == tag and len(entities) for number, entities in data)
+    dim = grid.topology.dim - (kind != "cell")
+    if data.dim != dim:
         raise FormError(
-            f"{term} is integrated over {symbol}({tag}), and nothing has the tag {tag} in its "
-            "subdomain data, on any rank: the term would vanish"
+            f"{term} is integrated over {symbol}, and its subdomain data are tags of entities of "
+            f"dimension {data.dim}: give tags of dimension {dim}"
         )
+    return bool(np.any(data.values == tag))

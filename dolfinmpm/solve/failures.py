@@ -32,7 +32,7 @@ def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed
     """
     free = [] if problem.scheme.inertia else problem.bodies.free
     support = _missing_support(free, problem.bodies.acting(operator), reason, problem.comm)
-    return Failed(reason, _worst_point(problem, operator), support)
+    return Failed(reason, _worst_point(problem, operator, reason), support)
 
 
 def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: float) -> str:
@@ -80,8 +80,8 @@ def advice_on(problem: QuasiStatic) -> str:
     )
 
 
-def _worst_point(problem: QuasiStatic, operator: Operator) -> str:
-    """The point whose law failed, or the most compressed point. Collective."""
+def _worst_point(problem: QuasiStatic, operator: Operator, reason: str) -> str:
+    """The point whose law or terms failed, or the most compressed point. Collective."""
     points = problem.points
     found = None
     if len(points):
@@ -90,6 +90,8 @@ def _worst_point(problem: QuasiStatic, operator: Operator) -> str:
             motion = operator.points.motion(operator.here.movers)
             J = np.linalg.det(deformation(points, *motion))
         failure = operator.points.failure
+        if failure is None and "NAN" in reason:
+            failure = operator.points.not_finite()
         p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
         place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
         place += f": {failure.cause}" if failure is not None and failure.cause else ""

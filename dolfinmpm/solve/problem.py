@@ -270,8 +270,8 @@ class Problem(ReadOnce):
         bit for bit. They are so on several ranks, too, under two conditions: ranks and
         distribution of the grid are the same, and the linear solver is deterministic. (MUMPS on
         several ranks is not, nor are iterations whose preconditioner is kept by measured times.)
-        Otherwise the figures are equal to rounding. With refined spaces they are equal to the
-        tolerance of Newton's method: its first guess of fields on leaves is not in the file.
+        Otherwise the figures are equal to the tolerance of Newton's method, because its first
+        guess is lost: on another number of ranks, and of fields on leaves.
 
         A file of a total Lagrangian problem may be loaded into an updated Lagrangian problem.
 

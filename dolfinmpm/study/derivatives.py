@@ -12,6 +12,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth, whole
+from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import RunState
@@ -183,6 +184,9 @@ def differentiate(
         number("epsilon", epsilon, 0.0, 0.01)
     started = time.perf_counter()
     tape, base = Tape(), FollowedRun(scene, parameters)
+    given = {"parameters": parameters, "scales": sizes, "central": central, "epsilon": epsilon,
+             "estimate": estimate, "restart": restart, "every": every}  # fmt: skip
+    check_same_call(base.comm, "study.differentiate", **given)
     for problem in base.problems:
         if isinstance(problem, QuasiStatic):
             record(problem, tape)

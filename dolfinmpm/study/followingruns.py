@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_kind, coordinates
-from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates, shown
+from dolfinmpm._platform.collective import check_same_call
+from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError, call_together
 from dolfinmpm.body.footing import seats
 from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.solve.arclength import ArcLength
@@ -26,6 +27,8 @@ Array = npt.NDArray[np.float64]
 
 # Share of the forces that curvature leaves at the perturbation ε, as a multiple of ε, and its bound
 _CURVED, _EVEN = 10.0, 1e-5
+# Relative difference of figures on two ranks that is rounding
+_ROUNDING = 1e-9
 _UNSETTLED = (
     "forces remain that the tangent does not remove (it may not be the derivative of the forces, "
     "or they are rounded, as those of a stiff footing), so that derivatives may be wrong"
@@ -107,11 +110,38 @@ class FollowedRun:
         return next(self._steps, self) is not self
 
     def measure(self) -> dict[str, Array]:
-        """The figures in the present state. Collective."""
-        return {
-            name: coordinates(f"measured['{name}']", get())
-            for name, get in self.run.measured.items()
-        }
+        """The figures in the present state. Collective.
+
+        Raises:
+            ParameterError: A figure is no number, or differs between ranks.
+        """
+        given = {name: get() for name, get in self.run.measured.items()}
+
+        def checked() -> dict[str, Array]:
+            return {name: coordinates(f"measured['{name}']", v) for name, v in given.items()}
+
+        # a rank whose figure has failed does not come, which this barrier tells
+        check_same_call(self.comm, "the figures of study.Run", names=list(given))
+        found = call_together(self.comm, checked)
+        if self.comm.size > 1:
+            first = self.comm.bcast(found)
+            call_together(self.comm, lambda: _check_equal(found, first, self.comm.rank))
+        return found
+
+
+def _check_equal(figures: Mapping[str, Array], first: Mapping[str, Array], rank: int) -> None:
+    """Raise ParameterError unless figures are those of rank 0, up to rounding."""
+    for name, value in figures.items():
+        wanted = first.get(name, np.empty((0,)))
+        size = _ROUNDING * np.abs(wanted).max(initial=0.0)
+        if value.shape != wanted.shape or not np.allclose(
+            value, wanted, rtol=_ROUNDING, atol=size, equal_nan=True
+        ):
+            raise ParameterError(
+                f"measured['{name}'] is {shown(wanted)} on rank 0 and {shown(value)} on rank "
+                f"{rank}: a figure is equal on all ranks; a sum over points goes over all ranks "
+                "by points.comm.allreduce"
+            )
 
 
 class FollowingRuns:

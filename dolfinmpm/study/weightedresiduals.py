@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     ParameterError,
@@ -86,6 +87,8 @@ class WeightedResiduals:
         run = self._scene(m)
         if isinstance(run, Run):
             self._comm = run.problems[0].comm
+            given = {"measured": self._measured, "weights": self._weights}
+            check_same_call(self._comm, "study.calibrate", **given)
         return run
 
     def run(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:

@@ -10,7 +10,7 @@ from conftest import COMM, unit_grid
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import FieldShapeError, FormError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, FieldShapeError, FormError, ParameterError
 
 
 @pytest.fixture
@@ -316,3 +316,18 @@ def test_derivatives_above_the_degree_are_zero(scene, basis, order):
         return body["x"]
 
     np.testing.assert_allclose(settled(1e3), settled(0.0), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("resists", [False, True])
+def test_a_term_that_is_not_finite_names_its_point(scene, resists):
+    """The message had named the most compressed point."""
+    grid, points, V = scene
+    place = points["x"][5]
+    distance = ufl.SpatialCoordinate(grid) - ufl.as_vector(place)
+    strength = V.increment[1] if resists else 1.0
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    F += 1e-3 * strength / ufl.dot(distance, distance) * V.test[1] * points.dX
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"), max_halvings=0)
+    with pytest.raises(ConvergenceError, match="a term of the form is not finite") as told:
+        problem.step()
+    assert f"point {points['id'][5]} at {place} m" in str(told.value)

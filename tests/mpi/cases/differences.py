@@ -71,7 +71,13 @@ def _of_problems(s):
     hold = lambda: mpm.dirichlet(side, s.u, s.v, (_last(0.0, 1e-3), 0.0), law=s.law)  # noqa: E731
     before = lambda e: mpm.carried(s.points, "before", e)  # noqa: E731
     rate = lambda e: (s.u[0] - before(e)) * s.v[0] * s.points.dX  # noqa: E731
+    on = mesh.locate_entities_boundary(s.grid, 1, lambda x: np.isclose(x[0], 0.0))
+    tags = mesh.meshtags(s.grid, 1, np.sort(on), np.full(len(on), 7, np.int32))
+    over = lambda data, tag: s.v[0] * ufl.Measure("ds", s.grid, subdomain_data=data)(tag)  # noqa: E731
     return [
+        (lambda: s.solver(form=s.F + over(tags, _last(7, 8))), "measure of term"),
+        (lambda: s.solver(form=s.F + over(_last(tags, None), 7)), "measure of term"),
+        (lambda: s.solver(form=s.F + s.v[0] * s.points.dX(_last(0, 1))), "measure of term"),
         (lambda: s.solver(increment=_last(V.increment, s.u)), "order among the spaces of its grid"),
         (lambda: s.solver(form=s.F + touch()), "penetration of contact"),
         (lambda: s.solver(form=s.F + hold()), "constant"),
@@ -108,7 +114,17 @@ def _of_files(s, at):
 def _of_studies(s, at):
     solver = _fresh(s)
     strength = functools.partial(mpm.study.factor_of_safety, solver, 1.0)
+
+    def run(m):
+        problem = _fresh(s)
+        return mpm.study.Run(problem, [problem.step], {"y": lambda: m["a"]})
+
+    def fitted(y):
+        return mpm.study.calibrate(run, {"a": 1.0}, {"y": [y]})
+
     return [
+        (lambda: mpm.study.differentiate(run, {"a": _last(1.0, 2.0)}), "a of parameters differs"),
+        (lambda: fitted(_last(3.0, 4.0)), "y of measured differs"),
         (lambda: strength(_last(2.0, 3.0)), "high differs between ranks: 2.0 on"),
         (lambda: mpm.study.conditioning(solver, _last(1.0, 2.0)), "density differs"),
         (lambda: mpm.study.write_table([], at / _last("a.csv", "b.csv")), "path differs"),
@@ -118,6 +134,15 @@ def _of_studies(s, at):
 def _on_one_rank(s, at) -> None:
     """What is wrong on one rank alone, which the others cannot know."""
     last = COMM.rank == COMM.size - 1
+
+    def summed(m):
+        problem = _fresh(s)
+        own = {"y": lambda: m["a"] * (1.0 + len(problem.points) + COMM.rank)}
+        return mpm.study.Run(problem, [problem.step], own)
+
+    text = _ends(lambda: mpm.study.differentiate(summed, {"a": 1.0}))
+    assert "measured['y'] is" in text
+    assert "a figure is equal on all ranks" in text
     for name, value, words in (
         ("density", np.nan, "density = nan"),
         ("density", -5.0, "density = -5.0"),
