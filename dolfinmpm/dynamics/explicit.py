@@ -17,11 +17,10 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, truth
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
+from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -50,6 +49,7 @@ from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.smallmass import check_filters
 from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
+from dolfinmpm.forms.formchecks import check_explicit
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.freebodies import check_masses
@@ -183,11 +183,7 @@ class Explicit(MovingBody, Problem):
         )
         check_boundaries(self.form, mass)
         check_filters(u[0]._dolfinmpm_space, settings.filters, collision)
-        if points.dt in extract_constants(form):
-            raise FormError(
-                "the form has rates over points.dt, and increments are 0 where explicit steps find "
-                "their forces; take Newmark or Transient, or bulk_viscosity and damping"
-            )
+        check_explicit(form, u[0], points)
         check_masses(self.bodies)
         refuse_constraints(faces, self.fields)
         ghost_mass = ghost_mass_at(faces, u[0]._dolfinmpm_space, mass, ghost_mass)

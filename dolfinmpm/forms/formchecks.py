@@ -10,6 +10,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_arguments, extract_coefficients
+from ufl.algorithms.analysis import extract_constants
 from ufl.classes import ComplexValue, Division, Product, ScalarValue
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
@@ -24,9 +25,11 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.termqueries import brief, depends_on, term_of
 from dolfinmpm.forms.weightchecks import check_weights
 
 __all__ = [
+    "check_explicit",
     "check_fields",
     "check_form",
     "check_laws",
@@ -178,6 +181,34 @@ def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
                     "and stresses would have the wrong sign: write F = mpm.momentum(...), and "
                     "subtract loads"
                 )
+
+
+def check_explicit(form: ufl.Form, increment: Any, points: MaterialPoints) -> None:
+    """Refuse terms of increments that explicit steps never see: they find their forces at zero.
+
+    Args:
+        form: Weak form.
+        increment: Increment of the displacement.
+        points: Material points of the form.
+
+    Raises:
+        FormError: The form has rates, or a term over cells or facets of the grid depends on the
+            increment.
+    """
+    where = "increments are 0 where explicit steps find their forces"
+    if points.dt in extract_constants(form):
+        raise FormError(
+            f"the form has rates over points.dt, and {where}; take Newmark or Transient, or "
+            "bulk_viscosity and damping"
+        )
+    for integral in form.integrals():
+        on_points = integral.integral_type() == "custom" or term_of(integral) is not None
+        if not on_points and depends_on(integral.integrand(), [increment]):
+            raise FormError(
+                f"the term '{brief(integral.integrand())}' over the grid depends on the increment, "
+                f"and {where}, so that it would do nothing; take Newmark, or for cut cells "
+                'stabilisation="ghost" or "aggregation"'
+            )
 
 
 def check_moving(laws: Sequence[Declaration], increments: Sequence[Any]) -> None:

@@ -364,7 +364,11 @@ def reliability(
     try:
         form.run()
     except RuntimeError as error:
-        raise ConvergenceError(f"FORM finds no design point: {error}") from error
+        raise ConvergenceError(
+            f"FORM finds no design point: '{limit}' is {value:g} at the medians, and may not fall "
+            "to zero within reach of the distributions, or has kinks: look at it at other "
+            f"parameters, or sample it with study.monte_carlo ({error})"
+        ) from error
     result = form.getResult()
     design, normal = result.getPhysicalSpaceDesignPoint(), result.getStandardSpaceDesignPoint()
     u = np.array(normal)

@@ -331,3 +331,15 @@ def test_a_term_that_is_not_finite_names_its_point(scene, resists):
     with pytest.raises(ConvergenceError, match="a term of the form is not finite") as told:
         problem.step()
     assert f"point {points['id'][5]} at {place} m" in str(told.value)
+
+
+@pytest.mark.parametrize("kind", ["dS", "dC"])
+def test_explicit_steps_refuse_penalties_on_increments(scene, kind):
+    """They had done nothing, since forces are found at increments of zero."""
+    _, points, V = scene
+    side = "+" if kind == "dS" else None
+    u, v = (w(side) if side else w for w in (V.increment, V.test))
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    mpm.Explicit(F + v[0] * getattr(points, kind), V.increment, points)
+    with pytest.raises(FormError, match="so that it would do nothing; take Newmark"):
+        mpm.Explicit(F + ufl.inner(u, v) * getattr(points, kind), V.increment, points)

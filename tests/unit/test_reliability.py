@@ -324,3 +324,7 @@ def test_a_limit_that_is_never_reached(openturns):
         study.reliability(planned(lambda m: 1e9 - m["E"]), given)
     with pytest.raises(ParameterError, match="limit = 'margin' depends on none of E"):
         study.reliability(planned(lambda m: 1e9), given)
+    # within reach of a straight line, and never zero
+    match = r"'margin' is .* at the medians, and may not fall to zero .*study\.monte_carlo"
+    with pytest.raises(ConvergenceError, match=match):
+        study.reliability(planned(lambda m: m["E"] + 1e5), given)
