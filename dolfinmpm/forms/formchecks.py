@@ -131,7 +131,7 @@ def _not_a_form(form: Any) -> str:
 
 
 def check_signs(form: ufl.Form) -> None:
-    """Refuse loads, penalties and conditions that are subtracted.
+    """Refuse loads, penalties and conditions that are subtracted, and conditions that are scaled.
 
     The metadata of such terms contain their original integrand, see `dolfinmpm.body.formsigns`. A
     sign in the form is then a factor of this integrand. Rewritten terms, for example by
@@ -141,7 +141,8 @@ def check_signs(form: ufl.Form) -> None:
         form: Weak form, as the user wrote it.
 
     Raises:
-        FormError: A term has the wrong sign, or is in the form twice but may be there only once.
+        FormError: A term has the wrong sign, is in the form twice but may be there only once, or
+            is a condition with a factor.
     """
     seen: set[tuple[str, Hashable]] = set()
     for integral in form.integrals():
@@ -156,6 +157,12 @@ def check_signs(form: ufl.Form) -> None:
             raise FormError(
                 f"{acting.name} is subtracted from the weak form; all forces are added: write "
                 "F += ..., and give a load that acts the other way a negative value"
+            )
+        if "condition" in integral.metadata() and integral.integrand() != acting.integrand:
+            raise FormError(
+                f"{acting.name} is scaled in the weak form, and would not be in balance with the "
+                "stresses of the body: write F += ..., without a factor, and give penalty=... or "
+                "stiffness_per_area=... for another strength"
             )
 
 

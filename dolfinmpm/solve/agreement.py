@@ -195,11 +195,12 @@ def _form(form: ufl.Form) -> Any:
                 parts.append((f"{kind} of term {k + 1}", _mark(marks[mark])))
         if "boundary" in marks:
             parts.append((f"boundary of term {k + 1}", plain_value(marks["boundary"])))
-        where = plain_value(integral.subdomain_id()), integral.subdomain_data() is None
-        parts.append((f"measure of term {k + 1}", (integral.integral_type(), *where)))
+        parts.append((f"measure of term {k + 1}", integral.integral_type()))
         parts += [
             (f"{name} of term {k + 1}", value) for name, value in plain_value(integral.integrand())
         ]
+        where = plain_value(integral.subdomain_id()), integral.subdomain_data() is None
+        parts.append((f"subdomain of term {k + 1}", where))
     return tuple(parts)
 
 

@@ -343,3 +343,15 @@ def test_explicit_steps_refuse_penalties_on_increments(scene, kind):
     mpm.Explicit(F + v[0] * getattr(points, kind), V.increment, points)
     with pytest.raises(FormError, match="so that it would do nothing; take Newmark"):
         mpm.Explicit(F + ufl.inner(u, v) * getattr(points, kind), V.increment, points)
+
+
+@pytest.mark.parametrize("kind", [mpm.dirichlet, mpm.signorini])
+def test_conditions_with_a_factor(scene, kind):
+    """Nitsche's terms had been of another size than the stresses, and the force had been halved."""
+    grid, points, V = scene
+    side = mpm.Boundary.from_side(points, "bottom")
+    F, two = mpm.momentum(LAW, points, V.increment, V.test), fem.Constant(grid, 2.0)
+    condition = kind(side, V.increment, V.test, law=LAW)
+    for factor in (2.0, 0.5, two):
+        refused(scene, lambda *_, a=factor: F + a * condition, "is scaled in the weak form")
+    mpm.QuasiStatic(F + 1 * condition, V.increment, points)

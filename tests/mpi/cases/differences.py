@@ -75,9 +75,9 @@ def _of_problems(s):
     tags = mesh.meshtags(s.grid, 1, np.sort(on), np.full(len(on), 7, np.int32))
     over = lambda data, tag: s.v[0] * ufl.Measure("ds", s.grid, subdomain_data=data)(tag)  # noqa: E731
     return [
-        (lambda: s.solver(form=s.F + over(tags, _last(7, 8))), "measure of term"),
-        (lambda: s.solver(form=s.F + over(_last(tags, None), 7)), "measure of term"),
-        (lambda: s.solver(form=s.F + s.v[0] * s.points.dX(_last(0, 1))), "measure of term"),
+        (lambda: s.solver(form=s.F + over(tags, _last(7, 8))), "subdomain of term"),
+        (lambda: s.solver(form=s.F + over(_last(tags, None), 7)), "subdomain of term"),
+        (lambda: s.solver(form=s.F + s.v[0] * s.points.dX(_last(0, 1))), "subdomain of term"),
         (lambda: s.solver(increment=_last(V.increment, s.u)), "order among the spaces of its grid"),
         (lambda: s.solver(form=s.F + touch()), "penetration of contact"),
         (lambda: s.solver(form=s.F + hold()), "constant"),
