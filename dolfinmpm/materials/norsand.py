@@ -28,6 +28,8 @@ _UNIT = 1e3
 # States beyond the yield surface by less than this (q/p) have the elastic tangent, as in Cam-Clay
 _TIE = 1e-11
 _ITERATIONS = 100
+# Residual of the yield surface (q/p) above which a short step is no solution
+_SMALL = 1e-8
 _DENSEST = 0.05
 
 
@@ -180,7 +182,9 @@ def _return(trial, shear_trial, place, last, specific, angle, parameters):
         else:
             high = gamma
         following = gamma - residual / slope
-        if abs(following - gamma) <= 1e-15 * max(gamma, shear_trial) or residual == 0.0:
+        # a short step alone is no solution: far beyond the surface hardening has a huge slope
+        short = abs(following - gamma) <= 1e-15 * max(gamma, shear_trial)
+        if residual == 0.0 or (short and abs(residual) <= _SMALL):
             return True, gamma, tip, found
         if high == math.inf:
             if not following > gamma or following > 2.0 * gamma + 1e-3:

@@ -74,6 +74,18 @@ def test_tangents_are_derivatives_and_stresses_are_admissible(law):
     assert error[smooth & (size > 1.0)].max() < 1e-6
 
 
+@pytest.mark.parametrize("N", [0.0, 0.4])
+def test_a_step_far_beyond_the_surface_yields(N):
+    """Compression by 6 % in one step: ln p of the trial state is larger by 40."""
+    law = sand(LOOSE, N=N)
+    strains = np.array([[-0.023, -0.008, -0.027], [-0.02, -0.02, -0.02], [-0.03, -0.03, 0.0]])
+    found = law.respond(strains)
+    f = law.yield_function(found.stress, found.internal, law.parameter_array())
+    assert (np.abs(f) <= 1e-12 * np.abs(found.stress).max(axis=1)).all()
+    assert (found.internal[:, 0] > 10 * law.image_pressure).all()
+    assert (found.strain.sum(axis=1) > 0.5 * strains.sum(axis=1)).all()
+
+
 def rates(law, undrained):
     """Rates by the axial strain of (p, q, p_i, e): the law's equations, with powers of p/p_i."""
     M, N, chi, h = law.M, law.N, law.chi, law.hardening
