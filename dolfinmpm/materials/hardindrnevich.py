@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dolfinmpm._platform.argumentchecks import refuse_idle, whole
+from dolfinmpm._platform.argumentchecks import number, refuse_idle, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.cyclickernel import PROPERTIES, cyclic_address
 from dolfinmpm.materials.druckerprager import cone_slope, cone_strength
@@ -104,8 +104,7 @@ class HardinDrnevich(UMAT):
                 "HardinDrnevich takes numbers: for other parameters at some points make a further "
                 "law, and give both to points by tags"
             )
-        if not (isinstance(cohesion, (int, float)) and cohesion >= 0.0):
-            raise ParameterError(f"HardinDrnevich: cohesion = {cohesion!r} Pa must be at least 0")
+        number("HardinDrnevich: cohesion", cohesion, 0.0, math.inf, "Pa", closed=True)
         if cohesion == 0.0 and friction_angle == 0.0:
             raise ParameterError(
                 "HardinDrnevich: cohesion = 0 Pa and friction_angle = 0 leave no strength: give "

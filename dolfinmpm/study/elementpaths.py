@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
+from dolfinmpm._platform.argumentchecks import choice, number, refuse_idle, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["COMPONENTS", "Leg", "check_logarithmic", "legs_of"]
@@ -45,17 +46,14 @@ class Leg:
     steps: int
 
 
-def _weights(name: Any) -> Array:
+def _weights(name: Any, is_stress: bool) -> Array:
     """Weights of the components by a name such as "yy", "yy-xx", "volume" or "mean"."""
     result = np.zeros(6)
-    if name == "volume":
-        result[:3] = 1.0
-        return result
-    if name == "mean":
-        result[:3] = 1.0 / 3.0
+    if name == ("mean" if is_stress else "volume"):
+        result[:3] = 1.0 / 3.0 if is_stress else 1.0
         return result
     parts = name.split("-") if isinstance(name, str) else [""]
-    if len(parts) > 2 or any(part not in COMPONENTS for part in parts):
+    if len(set(parts)) < len(parts) or len(parts) > 2 or not {*parts} <= {*COMPONENTS}:
         raise ParameterError(
             f"a leg prescribes {shown(name)}; it must be one of {', '.join(COMPONENTS)}, a "
             "difference such as 'yy-xx', 'volume' (a strain) or 'mean' (a stress)"
@@ -74,7 +72,7 @@ def leg(strain: Mapping[str, float | None], stress: Mapping[str, float | None], 
     rows, targets, of_stress = [], [], []
     for is_stress, given in ((False, strain), (True, stress)):
         for name, value in given.items():
-            rows.append(_weights(name))
+            rows.append(_weights(name, is_stress))
             targets.append(np.nan if value is None else number(str(name), value))
             of_stress.append(is_stress)
     named = np.any(np.array(rows).reshape(-1, 6) != 0.0, axis=0)
@@ -82,13 +80,20 @@ def leg(strain: Mapping[str, float | None], stress: Mapping[str, float | None], 
         rows.append(np.eye(6)[k])
         targets.append(np.nan)
         of_stress.append(False)
+    what = f"a leg with strain {dict(strain)} and stress {dict(stress)}"
     if len(rows) != 6:
         raise ParameterError(
-            f"a leg with strain {shown(dict(strain))} and stress {shown(dict(stress))} has "
-            f"{len(rows)} conditions for 6 components: each component needs one; components that "
-            "nothing names keep their strain"
+            f"{what} has {len(rows)} conditions for 6 components: each component needs one; "
+            "components that nothing names keep their strain"
         )
-    return Leg(np.array(of_stress), np.array(rows), np.array(targets), whole("steps", steps, 1))
+    weights, kind = np.array(rows), np.array(of_stress)
+    for of in set(of_stress):
+        if np.linalg.matrix_rank(weights[kind == of]) < np.count_nonzero(kind == of):
+            raise ParameterError(
+                f"{what} has conditions for {('strains', 'stresses')[of]} of which one follows "
+                "from others: take it out, and name another component"
+            )
+    return Leg(kind, weights, np.array(targets), whole("steps", steps, 1))
 
 
 def check_logarithmic(legs: Sequence[Leg]) -> None:
@@ -118,10 +123,13 @@ def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:
     Raises:
         ParameterError: An argument is out of range.
     """
+    choice("by", by, ("strain", "stress"))
     if not isinstance(path, str):
+        refuse_idle("by", by, "strain", "legs name strains and stresses themselves")
         return _own(path, to, steps)
-    path, by = choice("path", path, _PATHS), choice("by", by, ("strain", "stress"))
-    turns = [to] if isinstance(to, (int, float)) else to
+    path = choice("path", path, _PATHS)
+    single = isinstance(to, Real) or (isinstance(to, np.ndarray) and to.ndim == 0)
+    turns = [to] if single else to
     if not isinstance(turns, (Sequence, np.ndarray)) or isinstance(turns, str) or not len(turns):
         raise ParameterError(f"to = {shown(to)} must be a number, or turning points one by one")
     shear = "shear" in path
@@ -157,11 +165,14 @@ def _own(path: Any, to: Any, steps: int) -> list[Leg]:
         )
     found = []
     for part in path:
-        if not isinstance(part, Mapping) or set(part) - {"strain", "stress", "steps"}:
+        known = isinstance(part, Mapping) and not set(part) - {"strain", "stress", "steps"}
+        given = [part.get(name, {}) for name in ("strain", "stress")] if known else [None]
+        if not all(isinstance(one, Mapping) for one in given):
             raise ParameterError(
-                f"the leg {shown(part)} must be a dictionary with strain, stress and steps"
+                f"the leg {part!r} must be a dictionary with strain, stress and steps; strain and "
+                "stress are dictionaries by component, such as {'strain': {'yy': -0.01}}"
             )
-        found.append(leg(part.get("strain", {}), part.get("stress", {}), part.get("steps", steps)))
+        found.append(leg(given[0], given[1], part.get("steps", steps)))
     if to is not None:
         raise ParameterError(
             f"to = {shown(to)} is for paths by name; legs have values of their own"

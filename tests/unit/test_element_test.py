@@ -149,6 +149,20 @@ def test_a_path_beyond_the_strength_is_told():
         ({"path": [{"strain": {"rr": 1.0}}], "to": None}, "'rr'"),
         ({"path": [{"strain": {"xx": 1.0}, "stress": {"xx": 1.0}}], "to": None}, "7 conditions"),
         ({"path": [{}]}, "of their own"),
+        ({"path": [{}], "to": None, "by": "stress"}, "by = 'stress' would do nothing"),
+        ({"path": [{"strain": -0.01}], "to": None}, "by component"),
+        ({"path": [{"stress": None}], "to": None}, "by component"),
+        ({"path": [{"stress": {"volume": 1.0}}], "to": None}, "'volume' .a strain"),
+        ({"path": [{"strain": {"mean": 1.0}}], "to": None}, "'mean' .a stress"),
+        ({"path": [{"strain": {"xx-xx": 1.0}}], "to": None}, "'xx-xx'"),
+        (
+            {"path": [{"strain": {"xx-yy": 0.1, "yy-xx": 0.1, "zz": 0.0}}], "to": None},
+            "strains of which one follows",
+        ),
+        (
+            {"path": [{"stress": {"xx-yy": 1.0, "yy-zz": 1.0, "xx-zz": 3.0}}], "to": None},
+            "stresses of which one follows",
+        ),
         ({"to": []}, "turning points"),
         ({"to": "far"}, "turning points"),
         ({"by": "force"}, '"strain", "stress"'),
@@ -164,3 +178,11 @@ def test_bad_arguments(change, told):
     given = {"law": HENCKY, "path": "triaxial", "to": -0.01} | change
     with pytest.raises(mpm.errors.ParameterError, match=told):
         element_test(given.pop("law"), given.pop("path"), given.pop("to"), **given)
+
+
+@pytest.mark.parametrize("to", [np.float32(-0.01), np.array(-0.01), [np.float32(-0.01)]])
+def test_numbers_of_numpy(to):
+    found = element_test(HENCKY, "triaxial", to, steps=1)
+    assert (
+        found["q"][-1] == element_test(HENCKY, "triaxial", float(np.ravel(to)[0]), steps=1)["q"][-1]
+    )

@@ -226,7 +226,9 @@ def test_a_column_swings_at_small_strain_and_is_damped_at_large(integrator):
 
 def test_bad_parameters_are_refused():
     for given, words in (
-        ({"cohesion": -1.0}, "cohesion = -1.0 Pa must be at least 0"),
+        ({"cohesion": -1.0}, "cohesion = -1 Pa must be at least 0"),
+        ({"cohesion": np.nan}, "cohesion = nan Pa must be at least 0"),
+        ({"cohesion": True}, "cohesion = True must be a number"),
         ({"cohesion": 0.0}, "leave no strength"),
         ({"friction_angle": 95.0}, "friction_angle = 95.0 degrees must be in"),
         ({"a": 0.0}, "a = 0.0 must be in"),
@@ -235,3 +237,4 @@ def test_bad_parameters_are_refused():
     ):
         with pytest.raises(ParameterError, match=words):
             soil(**given)
+    assert soil(cohesion=np.int64(3000)).cohesion == 3000.0
