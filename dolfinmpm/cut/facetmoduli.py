@@ -53,6 +53,10 @@ FIELD = "tangent_moduli"
 # demos/studies/ghost_parameter.py.
 LEAST = 0.1
 
+# Largest M of laws with F-bar, by the elastic G (M at ν = 0.444). Near incompressibility, F-bar
+# leaves one volume change per cell to resist M, but a penalty in units of M would resist all.
+MOST = 10.0
+
 
 @once_per_grid
 def _constants_by_cell(grid) -> fem.FunctionSpace:
@@ -160,9 +164,18 @@ def _traces(tangent):
     return out
 
 
-def bounded(moduli: Array, elastic: Array) -> Array:
-    """M, at least `LEAST` times the elastic M, and G between 0 and M; shapes (n, 2)."""
+def bounded(moduli: Array, elastic: Array, shared: npt.NDArray[np.bool_] | None = None) -> Array:
+    """M within its bounds, and G between 0 and M; shapes (n, 2).
+
+    Args:
+        moduli: M and G (Pa).
+        elastic: Elastic M and G (Pa). M is at least `LEAST` times the elastic M.
+        shared: Whether points share their volume change (F-bar), shape (n,). M is then at most
+            `MOST` times the elastic G.
+    """
     M = np.maximum(moduli[:, 0], LEAST * elastic[:, 0])
+    if shared is not None:
+        M = np.where(shared, np.minimum(M, MOST * elastic[:, 1]), M)
     return np.stack([M, np.clip(moduli[:, 1], 0.0, M)], axis=1)
 
 

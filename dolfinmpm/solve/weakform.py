@@ -208,7 +208,15 @@ class WeakForm:
             return
         self.points.add_field(FIELD, (2,), "Pa")
         new = self.points[FIELD][:, 0] == 0
-        self.points[FIELD][new] = self._elastic()[new]
+        elastic = self._elastic()
+        self.points[FIELD][new] = bounded(elastic, elastic, self._shared())[new]
+
+    def _shared(self) -> npt.NDArray[np.bool_]:
+        """Whether points share their volume change (F-bar), shape (points,)."""
+        out = np.zeros(len(self.points), bool)
+        for declaration in self.parts.declarations:
+            out[declaration.rows] = bool(declaration.fbar)
+        return out
 
     def bounded_moduli(self, moduli: Array) -> Array:
         """Moduli of tangents within bounds; elastic ones where laws are energies (Pa).
@@ -217,7 +225,7 @@ class WeakForm:
             moduli: Result of `Evaluation.moduli`.
         """
         elastic = self._elastic()
-        found = bounded(moduli, elastic)
+        found = bounded(moduli, elastic, self._shared())
         for declaration in self.parts.declarations:
             if declaration.operator is None:
                 found[declaration.rows] = elastic[declaration.rows]

@@ -25,7 +25,7 @@ from dolfinmpm.assembly.facettensors import FacetTensors
 from dolfinmpm.assembly.latticefacets import LatticeFacet
 from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.body.points import GHOST_FACETS
-from dolfinmpm.cut.facetmoduli import FIELD, LEAST, bounded, isotropic_moduli
+from dolfinmpm.cut.facetmoduli import FIELD, LEAST, MOST, bounded, isotropic_moduli
 from dolfinmpm.materials.base import lame
 
 BASES = {"linear": 1, "bspline2": 2, "bspline3": 3}
@@ -133,6 +133,9 @@ def test_moduli_have_bounds():
     elastic = np.array([[3.0, 1.0]])
     np.testing.assert_array_equal(bounded(np.array([[0.0, -1.0]]), elastic), [[3 * LEAST, 0.0]])
     np.testing.assert_array_equal(bounded(np.array([[2.0, 2.5]]), elastic), [[2.0, 2.0]])
+    # F-bar leaves hardly any resistance to changes of volume
+    found = bounded(np.full((2, 2), [50.0, 1.0]), np.array([[50.0, 1.0]]), np.array([False, True]))
+    np.testing.assert_array_equal(found, [[50.0, 1.0], [MOST, 1.0]])
 
 
 @pytest.mark.parametrize("gdim", [2, 3])
