@@ -12,6 +12,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import check_kind
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.kinematics.deposits import Deposit
 from dolfinmpm.kinematics.lawterms import set_stress
 from dolfinmpm.solve.initialbalance import equilibrate
@@ -20,6 +21,11 @@ from dolfinmpm.solve.quasistatic import QuasiStatic
 __all__ = ["start_at_rest"]
 
 Array = npt.NDArray[np.float64]
+
+# Beyond this ratio of their vertical stresses, loads and ground have weights in two units
+_UNITS = 10.0
+# The loads are the total weight if the stress is as close to it as this
+_SAME = 0.02
 
 
 @collective
@@ -45,7 +51,9 @@ def start_at_rest(
         The number of steps.
 
     Raises:
-        ParameterError: The problem has no law, is not quasi-static, or its points are deformed.
+        ParameterError: The problem has no law, is not quasi-static, or its points are deformed. Or
+            the loads are not the weight of the ground: their mean vertical stress is above ten
+            times or below a tenth of it, or that of the total weight below a water table.
         StateError: A stress lies outside the yield surface of its law.
         ConvergenceError: The force is not in balance after `most` steps, or a step failed.
 
@@ -89,4 +97,42 @@ def start_at_rest(
     for one in declarations:
         tags = None if one.tags is None else tuple(one.tags)
         set_stress(one.law, points, stress, strain=one.strain, tag=tags)
-    return equilibrate(problem, tolerance=tolerance, most=most)
+    count = equilibrate(problem, tolerance=tolerance, most=most)
+    _check_weight(points, ground)
+    return count
+
+
+def _check_weight(points: MaterialPoints, ground: Deposit) -> None:
+    """Compare the vertical stress in balance with that of the ground. Collective.
+
+    On a level base the integrals of both are the same, whatever the shape of the surface.
+
+    Raises:
+        ParameterError: The loads are not the effective weight of the ground.
+    """
+    x, V, axis = points["x"].T, points["V"], points.gdim - 1
+    dry = Deposit(ground.surface, ground.layers)
+
+    def integrals() -> Array:
+        given = ground.vertical_stress(x)
+        all_of_it = given - ground.pore_pressure(x)
+        values = (points["stress"][:, axis, axis], given, all_of_it, dry.vertical_stress(x))
+        return np.array([V @ value for value in values] + [V.sum()])
+
+    *sums, volume = points.comm.allreduce(call_together(points.comm, integrals))
+    found, given, *others = (float(value / volume) for value in sums)
+    told = (
+        f"the loads give the body a mean vertical stress of {found:.6g} Pa, and the layers of the "
+        f"ground give {given:.6g} Pa"
+    )
+    if not abs(given) / _UNITS < -found < abs(given) * _UNITS:
+        raise ParameterError(
+            f"{told}: give unit weights in N/m³, densities in kg/m³, and the weight as a load"
+        )
+    for other in others:
+        if abs(given - other) > 5 * _SAME * abs(other) and abs(found - other) < _SAME * abs(other):
+            raise ParameterError(
+                f"{told}, which is effective: below the water table the load must be the effective "
+                "weight, F -= ufl.inner(ground.body_force(points), v) * points.dX. If both are "
+                "meant as they are, call mpm.set_stress and mpm.equilibrate"
+            )

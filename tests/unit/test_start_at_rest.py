@@ -86,3 +86,35 @@ def test_what_cannot_start_at_rest():
     problem.step()
     with pytest.raises(ParameterError, match="deformed: start before the first step"):
         mpm.start_at_rest(problem, deposit(flat))
+
+
+@pytest.mark.parametrize("saturated", [None, 2000 * G])
+def test_the_loads_must_be_the_effective_weight(saturated):
+    """The whole weight under a water table: K0 had been that of the buoyant weight, in silence."""
+    flat = mpm.Terrain(([0, 8],), [4.0, 4.0])
+    layer = mpm.Layer(0.0, 1800 * G, K0=0.5, saturated_unit_weight=saturated)
+    ground = mpm.Deposit(flat, layer, water_table=3.0)
+    points, problem = hillside(flat)
+    with pytest.raises(ParameterError, match=r"-35316 Pa, .* effective: .*body_force"):
+        mpm.start_at_rest(problem, ground)
+    points, problem = hillside(flat)
+    V = problem.form.spaces[0]
+    soil = mpm.materials.Hencky(20e6, 0.3)
+    F = mpm.momentum(soil, points, V.increment, V.test)
+    F -= ufl.inner(ground.body_force(points), V.test) * points.dX
+    problem = mpm.QuasiStatic(F, V.increment, points, problem.bcs)
+    assert mpm.start_at_rest(problem, ground) == 0
+    ratio = points["stress"][:, 0, 0] / points["stress"][:, 1, 1]
+    assert ratio == pytest.approx(0.5, rel=1e-9)
+
+
+@pytest.mark.parametrize("weight", [18.0, 18e6])
+def test_the_weights_must_have_one_unit(weight):
+    flat = mpm.Terrain(([0, 8],), [4.0, 4.0])
+    points, problem = hillside(flat)
+    V = problem.form.spaces[0]
+    F = mpm.momentum(mpm.materials.Hencky(20e9, 0.3), points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -G)), V.test) * points.dX
+    problem = mpm.QuasiStatic(F, V.increment, points, problem.bcs)
+    with pytest.raises(ParameterError, match=r"-35316 Pa, .* unit weights in N/m³"):
+        mpm.start_at_rest(problem, mpm.Deposit(flat, mpm.Layer(0.0, weight, K0=0.5)))
