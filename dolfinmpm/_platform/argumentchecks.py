@@ -256,6 +256,19 @@ def file_path(what: str, value: Any) -> Path:
     return Path(value)
 
 
+def text_of(what: str, value: Any) -> str:
+    """Text of a file in UTF-8, without a byte order mark. Other bytes become "�".
+
+    Raises:
+        ParameterError: The argument is neither text nor a path.
+        FileNotFoundError: There is no such file.
+    """
+    file = file_path(what, value)
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no file {file}")
+    return file.read_text(encoding="utf-8-sig", errors="replace")
+
+
 def as_tags(tag: Any) -> Tags:
     """Tags of points in increasing order, from one tag or several; None for all points.
 

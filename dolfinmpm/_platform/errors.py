@@ -160,7 +160,7 @@ class DifferentProblemWarning(DolfinMPMWarning):
 
 
 class DriftingRecordWarning(DolfinMPMWarning):
-    """A recorded motion of the ground does not come to rest at its end."""
+    """A recorded motion does not come to rest at its end, or steps pass over its waves."""
 
 
 class LostMomentumWarning(DolfinMPMWarning):

@@ -253,6 +253,9 @@ def moving(
 
     at(0.0)
     (condition,) = prescribed(space, where, component, increment=own_constant(space.grid, 0.0))
+    if callable(velocity) and hasattr(velocity, "mean_velocity"):
+        # a record tells what steps miss of it
+        return [replace(condition, velocity=velocity)]
     return [replace(condition, velocity=at)]
 
 

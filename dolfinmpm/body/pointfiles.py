@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import basix
@@ -13,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.argumentchecks import shown, truth
+from dolfinmpm._platform.argumentchecks import shown, text_of, truth
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.meshfiles import read_mesh
@@ -34,7 +33,7 @@ def from_csv(grid: Mesh, path, density, tag: int, delimiter: str) -> dict[str, A
     def read() -> dict[str, Any]:
         if grid.comm.rank != 0:
             return _nothing(len(axes))
-        names, values, lines = _table(Path(path), delimiter)
+        names, values, lines = _table(path, delimiter)
         return _arguments(path, axes, dict(zip(names, values.T)), lines, density, tag)
 
     return call_together(grid.comm, read)
@@ -45,16 +44,15 @@ def _nothing(gdim: int) -> dict[str, Any]:
     return {"x": np.empty((0, gdim)), "volume": none, "density": none, "id": none.astype(np.int64)}
 
 
-def _table(path: Path, delimiter: str) -> tuple[list[str], Array, list[int]]:
+def _table(path: Any, delimiter: str) -> tuple[list[str], Array, list[int]]:
     """Names and values of a table, shape (lines, columns), and where in the file the lines are."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        reader = csv.reader(file, delimiter=delimiter)
-        names = [name.strip() for name in next(reader, [])]
-        rows, lines = [], []
-        for row in reader:
-            if row and any(cell.strip() for cell in row):
-                rows.append(row)
-                lines.append(reader.line_num)
+    reader = csv.reader(text_of("path", path).splitlines(), delimiter=delimiter)
+    names = [name.strip() for name in next(reader, [])]
+    rows, lines = [], []
+    for row in reader:
+        if row and any(cell.strip() for cell in row):
+            rows.append(row)
+            lines.append(reader.line_num)
     double = [name for name, count in Counter(names).items() if count > 1]
     if double or not all(names):
         raise ParameterError(

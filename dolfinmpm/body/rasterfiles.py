@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import file_path
+from dolfinmpm._platform.argumentchecks import file_path, text_of
 from dolfinmpm._platform.errors import MissingPackageError, ParameterError
 
 __all__ = ["Raster", "read_raster"]
@@ -54,7 +54,7 @@ def read_raster(path: Any) -> Raster:
 
 def _ascii(file: Path) -> Raster:
     """Read an ESRI ASCII grid; rows go from north to south."""
-    words = file.read_text(encoding="utf-8", errors="replace").split()
+    words = text_of("raster", file).split()
     header: dict[str, str] = {}
     at = 0
     twice: list[str] = []

@@ -194,7 +194,11 @@ def check_clock(time: Any, grid: Mesh) -> None:
 
 def mean_increment(velocity: Callable[[float], float], step: Step) -> float:
     """Increment of a whole step by the trapezoidal rule (m), for a velocity by time."""
-    mean = 0.5 * (velocity(step.t - step.dt) + velocity(step.t))
+    start = step.t - step.dt
+    if hasattr(velocity, "mean_velocity"):
+        mean = velocity.mean_velocity(start, step.t)
+    else:
+        mean = 0.5 * (velocity(start) + velocity(step.t))
     return mean * step.dt / step.share
 
 

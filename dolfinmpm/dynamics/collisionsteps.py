@@ -118,11 +118,16 @@ class CollisionSteps(ExplicitBase):
             V + kick * (f - g) / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
             for body, V, f, g in zip(bodies, before, forces, damped)
         ]
+        pushed = [V_end - V for V, V_end in zip(before, after)]
         sides.absorb(after)
         external = sides.stop(after)
         touching = self._touching(bodies, here)
         touching.exchange(after)
         external += sides.stop(after)
+        if 2.0 * kick == dt:
+            # the run begins with half a step
+            changes = [V_end - V for V, V_end in zip(before, after)]
+            self._count_start(bodies, pushed, changes, here)
         new = self._points(stencils, rows, before, after, kick)
         strains = after
         if settings.scheme == "musl":
@@ -285,6 +290,27 @@ class CollisionSteps(ExplicitBase):
         work.losses["damping"] += damping
         work.losses["collision"] += collision
         work.late = lateness(external - friction - damping, work.latest, 0.0, False)
+
+    def _count_start(
+        self,
+        bodies: Sequence[BodyAtNodes],
+        pushed: Sequence[Array],
+        changes: Sequence[Array],
+        here: Activation,
+    ) -> None:
+        """Add the energy of the start, see `Work`. Collective.
+
+        Args:
+            bodies: Nodal sums of each body.
+            pushed, changes: Changes of velocity by forces alone, and in all (m/s), shape
+                (nodes, d) per body.
+            here: The activation.
+        """
+        own, start = here.unknowns.fields[0], 0.0
+        for body, by_forces, change in zip(bodies, pushed, changes):
+            both = np.where(own.fixed, 0.0, by_forces * change)
+            start += 0.5 * float(np.sum((body.mass[:, None] * both)[own.owned_nodes]))
+        self._work.start += here.unknowns.comm.allreduce(start, op=MPI.SUM)
 
     @stages.assemble
     def _velocities(

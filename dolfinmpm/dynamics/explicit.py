@@ -69,8 +69,9 @@ class Explicit(MovingBody, Problem):
     the points' `density`. The points carry `velocity` (m/s) and `acceleration` (m/s²).
 
     Velocities are half a step behind positions. A force changes the velocities over half of the
-    step before and half of the step after. So steps may change their length. `energies()` gives
-    the kinetic energy at the time of the positions.
+    step before and half of the step after. So steps may change their length. The first step has no
+    step before: velocities that are given are those at the start. Prescribed velocities are those
+    in the middle of a step. `energies()` gives the kinetic energy at the time of the positions.
 
     `step(t)` goes to the time t in as many steps as stability requires. In a loop over
     `times(end, dt="auto")` each call takes twenty fused steps, or one step that is not fused.
@@ -85,7 +86,8 @@ class Explicit(MovingBody, Problem):
             Weak conditions act with their state before the step. Their stiffness counts in
             `critical_step`: "penalty" with a penalty of some 10 halves the step. Their prescribed
             values change by the constant `time`, or from call to call.
-        scheme: "musl", "usl" or "usf".
+        scheme: "musl", "usl" or "usf". In "usf" stress and strain are those at the start of the
+            last step. "usl" loses energy at any length of the steps.
         mapping: The velocity mapping between points and grid; "flip" by default.
         mass: "lumped", or "consistent" with conjugate gradients in each step.
         ghost_mass: See `Newmark`.

@@ -142,14 +142,14 @@ class ExplicitCall:
 
         def begin(k: int) -> Step:
             end = start + (k + 1) * dt
-            set_velocities(problem.bcs, lambda v: v(end) * whole)
+            set_velocities(problem.bcs, lambda v: v(end - 0.5 * dt) * whole)
             if time is not None:
                 time.value = start + k * dt
             return Step(end, dt, dt / whole)
 
         work = problem.ledger.work
-        # velocities are half of the last step behind positions
-        kick = 0.5 * (work.length + dt) if work.length else dt
+        # velocities are half of the last step behind positions, and none before the first step
+        kick = 0.5 * (work.length + dt)
         taken, migrated, reason = self._loop.run(count, dt, kick, more, begin)
         work.add(self._loop.work())
         work.length = dt

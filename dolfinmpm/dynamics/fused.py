@@ -77,7 +77,8 @@ class FusedSteps:
         done: Sums since the last call of `work`, in this order: work of the stresses (J), work of
             loads and prescribed motions (J), path of the fastest point in a step (cells), change
             of the nodes' kinetic energy (J), losses by damping and by friction at sides of the
-            grid (J), lateness of the last velocities (J) and loss by the mapping (J), see `Work`.
+            grid (J), lateness of the last velocities (J), loss by the mapping (J) and energy of the
+            start (J), see `Work`.
         at_once: Largest number of steps per call.
         instead: Reason for other steps: empty, because these steps are fused.
         sides: The argument.
@@ -103,7 +104,7 @@ class FusedSteps:
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
         self._settings, self.sides = settings, sides
         self._prescribed = Prescribed(held)
-        self.done = np.zeros(8)
+        self.done = np.zeros(9)
         self._rate, self._worth = 0.0, Worth()
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
@@ -118,12 +119,12 @@ class FusedSteps:
         if self._laws.kind == NEO:
             self.done[0] = self._laws.gained()
         sums = self._points.comm.allreduce(self.done, op=MPI.SUM)
-        internal, external, _, grid, damped, rubbed, late, mapped = map(float, sums)
+        internal, external, _, grid, damped, rubbed, late, mapped, start = map(float, sums)
         self.done[:2] = self.done[3:] = 0.0
         if self._rigid is not None:
             external, self._rigid.work = external + self._rigid.work, 0.0
         projected = self._settings.scaling * mapped
-        found = Work(external, internal, grid, projected, late=late)
+        found = Work(external, internal, grid, projected, start, late=late)
         if self._rigid is not None:
             found.late, found.late_bodies = late + self._rigid.late[0], self._rigid.late[1]
         found.losses["damping"], found.losses["friction"] = damped, rubbed
@@ -174,14 +175,15 @@ class FusedSteps:
         migrated, reason, taken = 0, None, 0
         *others, main = PASSES[self._settings.scheme]
         while taken < count and reason is None:
-            started = begin(taken).t - dt
-            self._prescribed.drive(started, dt)
+            started, now = begin(taken).t - dt, dt if taken else kick
+            middle = started + 0.5 * dt
+            self._prescribed.drive(middle - now, middle)
             fresh = not self._worth.live
             if fresh:
                 with stages.activate:
                     if self._window.basis.partition is not self._points.partition:
                         self._surround()
-                        self._prescribed.drive(started, dt)
+                        self._prescribed.drive(middle - now, middle)
                     self._prepare()
                 self._worth.live = True
             elif self._loads.changed():
@@ -200,7 +202,6 @@ class FusedSteps:
             # the sums of the last step of all would not be used
             ending = last and not more
             if reason is None:
-                now = kick if taken == 1 else dt
                 reason = self._step(others, main, dt, now, last, not ending)
             way = self._reach()
             self._worth.travelled += way
@@ -326,7 +327,7 @@ class FusedSteps:
         before = self.done.copy()
         reason = self._passes(others, main, dt, kick, record, scatter)
         if record:
-            _, external, _, grid, damped, rubbed, internal, _ = self.done - before
+            _, external, _, grid, damped, rubbed, internal, _, _ = self.done - before
             late = self._settings.scheme == "usf"
             self.done[6] = lateness(external - damped - rubbed, internal, grid, late)
             if kick != dt:
@@ -354,7 +355,8 @@ class FusedSteps:
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
             divide(box, columns, out, 0, nodes, fixed, before, *weight, False)
-            reason = self._pass(others[0], dt, switches)
+            # strains before the forces follow the last motion of the points
+            reason = self._pass(others[0], 2.0 * kick - dt, switches)
             window.add_up(columns.force, columns.force + d)
             if reason is not None:
                 return reason

@@ -94,21 +94,22 @@ class RigidContacts:
         return found
 
     @stages.activate
-    def begin(self, dt: float, kick: float, all_corners: bool) -> None:
+    def begin(self, dt: float, kick: float, before: bool) -> None:
         """Begin a step: find the corners that may touch in the step. Collective.
 
         Args:
             dt: Length of the step (s).
             kick: Time during which forces act on the bodies (s).
-            all_corners: True checks all corners of points near the bodies. It is needed if the
-                points' fields change before their motion is known.
+            before: Whether points strain before the forces, as in "usf". All corners of points
+                near the bodies are then checked, because fields change before the motion is known.
 
         Raises:
             ParameterError: Points are inside a body before the first step.
         """
         self._bodies.begin(dt)
         self._dt, self._kick = dt, kick
-        self._active = [self._made(near, all_corners) for near in self._near]
+        self._strained = 2.0 * kick - dt if before else dt
+        self._active = [self._made(near, before) for near in self._near]
 
     def _made(self, near: NeighbourList, all_corners: bool = False) -> ActiveRigidContact:
         """A contact of the corners that may touch. Collective before the first step."""
@@ -147,7 +148,7 @@ class RigidContacts:
         d, stencils = self._points.gdim, active.corners.stencils
         first = COLUMNS[d].second
         velocities = self._window.nodes[stencils.nodes, first : first + d]
-        return stencils.of_nodes(self._dt * velocities)
+        return stencils.of_nodes(self._strained * velocities)
 
     @stages.assemble
     def follow(self) -> None:

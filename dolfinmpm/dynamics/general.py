@@ -38,7 +38,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import viscous_pressure
-from dolfinmpm.dynamics.stepwork import work_at_nodes, work_of_friction
+from dolfinmpm.dynamics.stepwork import energy_of_start, work_at_nodes, work_of_friction
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
@@ -96,18 +96,15 @@ class GeneralSteps(ExplicitBase):
         mass = Mass(problem.terms, here, settings.scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         momenta = self._momenta(mass, field, x_node)
-        before = self._before(step, held, field.basis)
+        before = self._before(step, kick, held, field.basis)
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, before, fastest).arrays[0]
         operator = Operator(problem.form, here)
         if self.kinks is not None:
             self.kinks.begin_step(field.basis)
         problem.bodies.put(0.0)
-        V_strain: Array = V
-        predicted: Array | None = None
-        if settings.scheme == "usf":
-            V_strain = self._before_forces(operator, mass, V, kick)
-            predicted = dt * V_strain
+        V_strain, strained = self._before_forces(operator, mass, V, (dt, kick))
+        predicted = strained * V_strain if settings.scheme == "usf" else None
         at_start = boundary_forces(operator)
         held_by = self._held_by(operator, at_start, predicted)
         forces = self._forces(operator, mass, s, predicted)
@@ -130,7 +127,7 @@ class GeneralSteps(ExplicitBase):
                 self._settle(here, stopped, V_move)
         V_strain = V_strain if settings.scheme == "usf" else V_move
         moved = points["x"] + dt * collect(s, V_move)
-        operator.set_increments([dt * V_strain])
+        operator.set_increments([strained * V_strain])
         if held_by is not None and settings.clock is not None:
             # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
@@ -142,6 +139,7 @@ class GeneralSteps(ExplicitBase):
         self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), dt, kick)
         self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, kick)
         self._work.add_stresses(points, state.fields, operator)
+        self._work.start += energy_of_start(mass, forces, V_end - V, here, dt, kick)
         self._count(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         held_work, late_work, _ = works_of_boundaries(operator, at_start, state)
@@ -210,7 +208,7 @@ class GeneralSteps(ExplicitBase):
         momenta.arrays[0][...] *= self._settings.scaling
         return momenta
 
-    def _before(self, step: Step, held: Array, basis: Any) -> Array:
+    def _before(self, step: Step, kick: float, held: Array, basis: Any) -> Array:
         """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
         prescribed = self._problem.held
         bcs = prescribed.conditions
@@ -218,7 +216,7 @@ class GeneralSteps(ExplicitBase):
             return held
         dt, share = step.dt, step.share
         ending = [np.array(bc.values) for bc in bcs]
-        set_velocities(bcs, lambda v: v(step.t - dt) * dt / share)
+        set_velocities(bcs, lambda v: v(step.t - 0.5 * dt - kick) * dt / share)
         values = prescribed.at([basis], share)[1][0] / dt
         for condition, value in zip(bcs, ending):
             if condition.velocity is not None:
@@ -338,15 +336,20 @@ class GeneralSteps(ExplicitBase):
         faces.settle(taken, V, self.kinks)
         V[fixed] = given
 
-    def _before_forces(self, operator: Operator, mass: Mass, V: Array, kick: float) -> Array:
-        """Velocities for the strain before the forces, in "usf" (m/s). Collective.
+    def _before_forces(
+        self, operator: Operator, mass: Mass, V: Array, times: tuple[float, float]
+    ) -> tuple[Array, float]:
+        """Velocities for the strain (m/s), and the time during which they strain (s). Collective.
 
-        The forces before the strain tell which nodes frictional faces will stop.
+        In "usf" the strain before the forces is that by the last motion of the points, of the last
+        step's length. The forces before it tell which nodes frictional faces will stop.
         """
-        here = operator.here
-        faces = self.sides.on(here.fields[0].basis)
+        (dt, kick), here = times, operator.here
+        if self._settings.scheme != "usf":
+            return V, dt
+        last, faces = 2.0 * kick - dt, self.sides.on(here.fields[0].basis)
         if faces is None or not self.sides.rubbing:
-            return V
+            return V, last
         forces = self._forces(operator, mass, here.fields[0].stencils, None)
         assert isinstance(forces, Nodal)
         if (held_by := self._held_by(operator, boundary_forces(operator), None)) is not None:
@@ -355,7 +358,7 @@ class GeneralSteps(ExplicitBase):
         V_end, settled = free.copy(), V.copy()
         faces.rub(V_end, self.kinks)
         self._settle(here, free - V_end, settled)
-        return settled
+        return settled, last
 
     def _damped(
         self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces, dt: float,

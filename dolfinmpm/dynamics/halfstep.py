@@ -5,6 +5,9 @@ A step takes velocities from t − ½ Δt to t + ½ Δt by the forces at t. So t
 and ½ Δt f · v, half of what the forces at t would do in the last step. With ½ v · M v alone
 energies swing by a share of the step times the frequency. (Hairer, Lubich & Wanner 2003, "Geometric
 numerical integration illustrated by the Störmer–Verlet method", doi 10.1017/S0962492902000144.)
+
+A run begins with half a step, from velocities at t = 0. There ½ v · M v exceeds this energy by
+½ Δv · M Δv, with the change Δv in the half step. The energy of a run includes this number.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import coordinates, file_path, number, whole
+from dolfinmpm._platform.argumentchecks import coordinates, number, shown, text_of, whole
 from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError, warn
 
 __all__ = ["InputMotion"]
@@ -16,6 +16,8 @@ Array = npt.NDArray[np.float64]
 
 # Largest velocity that may be left after the record, as a share of its peak velocity
 _LEFT = 0.02
+# Largest mean velocity that a step may miss, as a share of the peak velocity: waves of 6 steps
+_MISSED = 0.1
 
 
 class InputMotion:
@@ -41,7 +43,8 @@ class InputMotion:
 
     Warns:
         DriftingRecordWarning: A record in use has more than 2 % of its peak velocity left after
-            its end.
+            its end. Or steps of `Newmark`, `GeneralisedAlpha` or `Transient` are so long that they
+            miss a tenth of its peak velocity: they take the mean of the velocities at both ends.
 
     A record of three samples:
 
@@ -79,22 +82,44 @@ class InputMotion:
         self._acceleration = self._velocity.derivative()
         self.drift = float(self._velocity(t[-1]))
         self.left = float(self._displacement(t[-1]))
-        self._told = False
+        self._peak = float(np.abs(self._velocity(t)).max())
+        self._told = self._missed = False
 
     def _check(self) -> None:
         """Warn once about a record that goes on after its end."""
         from mpi4py import MPI
 
         self._told = True
-        peak = float(np.abs(self._velocity(self.time)).max())
-        if abs(self.drift) > _LEFT * peak:
+        if abs(self.drift) > _LEFT * self._peak:
             warn(
                 MPI.COMM_WORLD,
                 f"the record ends with the velocity {self.drift:.3g} m/s, and its peak is "
-                f"{peak:.3g} m/s: the ground goes on for ever; take record.corrected(), which "
-                "removes a line from the acceleration",
+                f"{self._peak:.3g} m/s: the ground goes on for ever; take record.corrected(), "
+                "which removes a line from the acceleration",
                 DriftingRecordWarning,
             )
+
+    def mean_velocity(self, start: float, end: float) -> float:
+        """Mean of the velocities at both ends of a step (m/s). Warns once if it misses waves.
+
+        Args:
+            start, end: Times (s).
+        """
+        found, dt = 0.5 * (self(start) + self(end)), end - start
+        exact = self.displacement(end) - self.displacement(start)
+        if not self._missed and abs(found * dt - exact) > _MISSED * self._peak * dt:
+            from mpi4py import MPI
+
+            self._missed = True
+            warn(
+                MPI.COMM_WORLD,
+                f"the step of {dt:.3g} s from t = {start:.6g} s passes over waves of the record: "
+                f"it moves the ground by {found * dt:.3g} m, and the record by {exact:.3g} m; take "
+                "steps of a tenth of the shortest period of interest, and a record without shorter "
+                "ones",
+                DriftingRecordWarning,
+            )
+        return found
 
     @classmethod
     def from_csv(
@@ -103,7 +128,8 @@ class InputMotion:
         """A record from a table of two columns, times (s) and values.
 
         Args:
-            path: A text file; columns are divided by commas, semicolons or spaces.
+            path: A text file; columns are divided by commas, semicolons or spaces. Empty lines,
+                and what follows a "#", are left out.
             kind: "acceleration" or "velocity".
             factor: Factor of the values, such as 9.81 for accelerations in g.
             skip: Number of lines before the table.
@@ -112,24 +138,24 @@ class InputMotion:
             OSError: The file is missing, or has no two columns of numbers.
             ParameterError: An argument is out of range.
         """
-        file = file_path("record", path)
+        lines = text_of("record", path).splitlines()
         number("factor", factor), whole("skip", skip, 0)
         if kind not in ("acceleration", "velocity"):
             raise ParameterError(f'kind = {kind!r} must be "acceleration" or "velocity"')
-        lines = file.read_text(encoding="utf-8").splitlines()[skip:]
-        rows = [line.replace(",", " ").replace(";", " ").split() for line in lines if line.strip()]
-        try:
-            if not rows or any(len(row) != 2 for row in rows):
-                raise ValueError("two columns are needed, with decimal points")
-            table = np.array([[float(word) for word in row] for row in rows])
-        except ValueError as error:
-            raise OSError(
-                f"{file} is no table of times and values: {error}; skip= leaves out lines "
-                "at its top"
-            ) from error
-        if kind == "acceleration":
-            return cls(table[:, 0], acceleration=factor * table[:, 1])
-        return cls(table[:, 0], velocity=factor * table[:, 1])
+        rows = []
+        for k, line in enumerate(lines[skip:], skip + 1):
+            words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+            try:
+                rows += [(float(time), float(value)) for time, value in [words]] if words else []
+            except ValueError:
+                raise OSError(
+                    f"{path}, line {k}: {shown(line)} is no time with a value, two numbers with "
+                    "decimal points; skip= leaves out lines at the top"
+                ) from None
+        if not rows:
+            raise OSError(f"{path} has no line of numbers after {skip} of its {len(lines)} lines")
+        time, values = np.array(rows).T
+        return cls(time, **{kind: factor * values})
 
     def __call__(self, t: float) -> float:
         """Velocity at time t (m/s)."""

@@ -61,6 +61,8 @@ class Work:
         grid: Change of the kinetic energy of the nodes within steps.
         projected: Energy lost by the mapping in explicit steps: the points' kinetic energy if
             forces only changed their velocities, less the kinetic energy after the mapping.
+        start: ½ Σ m Δv² of the nodes in the half step in which a run begins, with one Δv by forces
+            alone, see `dolfinmpm.dynamics.halfstep`. It counts as kinetic energy.
         losses: Losses by the names of `LOSSES`.
         length: Not a sum: length of the last step (s), 0 before the first step.
         late, late_bodies: Not sums: lateness of the points and of rigid bodies. Lateness is the
@@ -73,6 +75,7 @@ class Work:
     internal: float = 0.0
     grid: float = 0.0
     projected: float = 0.0
+    start: float = 0.0
     losses: dict[str, float] = field(default_factory=lambda: dict.fromkeys(LOSSES, 0.0))
     length: float = 0.0
     late: float = 0.0
@@ -90,6 +93,7 @@ class Work:
         self.internal += other.internal
         self.grid += other.grid
         self.projected += other.projected
+        self.start += other.start
         for name, loss in other.losses.items():
             self.losses[name] += loss
         self.late, self.late_bodies = other.late, other.late_bodies
@@ -128,14 +132,14 @@ class Work:
     def values(self) -> Array:
         """The sums as a row of numbers."""
         sums = self.external, self.internal, self.grid, self.projected, *self.losses.values()
-        return np.array([*sums, self.length, self.late, self.late_bodies])
+        return np.array([*sums, self.start, self.length, self.late, self.late_bodies])
 
     def take(self, values: Array) -> None:
         """Restore sums returned by `values`."""
-        sums, losses = map(float, values[:4]), map(float, values[4:-3])
+        sums, losses = map(float, values[:4]), map(float, values[4:-4])
         self.external, self.internal, self.grid, self.projected = sums
         self.losses = dict(zip(LOSSES, losses))
-        self.length, self.late, self.late_bodies = map(float, values[-3:])
+        self.start, self.length, self.late, self.late_bodies = map(float, values[-4:])
 
 
 @dataclass(frozen=True)
@@ -231,8 +235,9 @@ class Ledger:
         elif kinetic != self._last:
             # changed velocities count as velocities at the present time
             first["kinetic"] += kinetic - self._last
-            first["initial"] += kinetic - self._last - self.work.late / self.scaling
-            self.work.late = 0.0
+            late = (self.work.late + self.work.start) / self.scaling
+            first["initial"] += kinetic - self._last - late
+            self.work.late = self.work.start = 0.0
         self._last = kinetic
 
     def parts(self) -> Array:
@@ -304,7 +309,7 @@ class Ledger:
         first, work = self._first, self.work
         own, strain = self.kinetic(), self._strain()
         # velocities changed by the user count as velocities at the present time
-        late = work.late / self.scaling if own == self._last else 0.0
+        late = (work.late + work.start) / self.scaling if own == self._last else 0.0
         kinetic = own + late
         bodies, (contact, rubbed) = self._bodies.kinetic() + work.late_bodies, self._touching()
         contact += self._bodies.stored

@@ -21,6 +21,7 @@ from dolfinmpm.solve.operator import Operator
 __all__ = [
     "MovingNodes",
     "add_work_of_nodes",
+    "energy_of_start",
     "mean_contact_forces",
     "work_at_nodes",
     "work_of_contact",
@@ -134,6 +135,25 @@ def work_at_nodes(
         done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
         external += mass.comm.allreduce(done, op=MPI.SUM)
     return external
+
+
+def energy_of_start(
+    mass: Mass, forces: Nodal, change: Array, here: Activation, dt: float, kick: float
+) -> float:
+    """Energy of the start of a run, see `dolfinmpm.dynamics.halfstep` (J). Collective.
+
+    Args:
+        mass: Mass of the nodes.
+        forces: Forces on the nodes (N).
+        change: Change of their velocities in the step (m/s), shape (nodes, d).
+        here: The activation.
+        dt, kick: Time during which points move, and time during which forces act (s).
+    """
+    if 2.0 * kick != dt:
+        return 0.0
+    own = here.unknowns.fields[0]
+    done = np.where(own.fixed, 0.0, forces.arrays[0] * change)[own.owned_nodes]
+    return mass.comm.allreduce(0.5 * kick * float(done.sum()), op=MPI.SUM)
 
 
 def work_of_friction(mass: Mass, stopped: Array | None, u: Array, kick: float) -> float:

@@ -223,19 +223,23 @@ class Prescribed:
         self.before = self.after = self._values
         self._known = fixed, values, self._rate
 
-    def drive(self, t: float, dt: float) -> None:
-        """Set velocities that are functions of time, for a step from t to t + dt. Collective."""
+    def drive(self, before: float, after: float) -> None:
+        """Set velocities that are functions of time. Collective.
+
+        Args:
+            before, after: Middle of the last step, and of this step (s).
+        """
         conditions = self._held.conditions
         driven = [c.velocity for c in conditions if c.velocity is not None]
         if not driven:
             return
-        wanted = [v(t) for v in driven], [v(t + dt) for v in driven]
+        wanted = [v(before) for v in driven], [v(after) for v in driven]
         if self._driven is None or self._driven != wanted[0]:
-            set_velocities(conditions, lambda v: v(t) / self._rate)
+            set_velocities(conditions, lambda v: v(before) / self._rate)
             self._take()
         self.before = self.after
         if wanted[1] != wanted[0]:
-            set_velocities(conditions, lambda v: v(t + dt) / self._rate)
+            set_velocities(conditions, lambda v: v(after) / self._rate)
             start = self.before
             self._take()
             self.before = start

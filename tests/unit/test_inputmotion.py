@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import COMM
+from conftest import COMM, unit_grid
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError
@@ -71,17 +71,46 @@ def test_a_record_from_a_file(tmp_path, mark):
         assert mpm.InputMotion.from_csv(path, kind="velocity")(0.5) == 1.0
 
 
+def test_a_record_as_spreadsheets_write_it(tmp_path):
+    """With a byte order mark, remarks, and a heading in another encoding."""
+    path = tmp_path / "record.csv"
+    path.write_bytes(b"\xef\xbb\xbf0;0\r\n1;2 # peak\r\n# end\r\n2;0\r\n")
+    assert mpm.InputMotion.from_csv(path, kind="velocity")(1.0) == 2.0
+    path.write_bytes("Erschütterung\n0 0\n1 2\n2 0\n".encode("latin-1"))
+    assert mpm.InputMotion.from_csv(path, kind="velocity", skip=1)(1.0) == 2.0
+
+
+def test_steps_that_pass_over_waves_of_a_record():
+    """The base had gone another way than the record, in silence."""
+    t = np.arange(0.0, 1.0, 0.005)
+    record = mpm.InputMotion(t, velocity=np.sin(2 * np.pi * 20 * t) * np.sin(np.pi * t) ** 2)
+    points = mpm.fill(unit_grid("quadrilateral", 4), mpm.Box((0.25, 0), (0.5, 0.25)), 2, 1000.0)
+    V = mpm.Space(points.grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    bcs = [*mpm.moving(V, "bottom", 0, velocity=record), *mpm.rollers(V, "bottom")]
+    problem = mpm.Newmark(F, V.increment, points, bcs)
+    for t in mpm.times(0.3, dt=0.005):
+        problem.step(t)
+    with pytest.warns(DriftingRecordWarning, match=r"step of 0.04 s .* passes over waves"):
+        problem.step(0.34)
+
+
 def test_files_that_are_no_records(tmp_path):
     path = tmp_path / "record.csv"
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(OSError, match=r"no table of times and values: .*skip="):
+    with pytest.raises(OSError, match=r"record.csv, line 1: 'a,b' is no time .*skip="):
         mpm.InputMotion.from_csv(path)
-    path.write_text("1\n2\n")
-    with pytest.raises(OSError, match="two columns are needed"):
+    path.write_text("0 0\n\n1\n2\n")
+    with pytest.raises(OSError, match="line 3: '1' is no time with a value"):
+        mpm.InputMotion.from_csv(path)
+    with pytest.raises(OSError, match="no line of numbers after 9 of its 4 lines"):
+        mpm.InputMotion.from_csv(path, skip=9)
+    path.write_bytes("0 Erschütterung".encode("latin-1"))
+    with pytest.raises(OSError, match="line 1: '0 Ersch"):
         mpm.InputMotion.from_csv(path)
     with pytest.raises(ParameterError, match="kind = 'force'"):
         mpm.InputMotion.from_csv(path, kind="force")
-    with pytest.raises(OSError, match="none"):
+    with pytest.raises(OSError, match=r"there is no file .*none"):
         mpm.InputMotion.from_csv(tmp_path / "none")
 
 
