@@ -74,6 +74,7 @@ assert abs(height / exact - 1) < 1e-6
 #
 # Try next
 # --------
-# - Let only the upper half swell: ``points["swelling"] = 0.1 * (points["x0"][:, 1] > 0.5)``.
+# - Let only the upper half swell: ``points["swelling"] = 0.1 * (points["x0"][:, 1] > 0.5)``. The
+#   assertion is of the whole layer: leave it out.
 # - :doc:`A strip that curls </demos/growing_strip>` has such a field.
 # - :doc:`A law of one's own </demos/your_own_law>` with internal variables, compiled by Numba.

@@ -308,3 +308,13 @@ def test_removals_that_are_refused():
     with pytest.raises(ParameterError, match="the bodies overlap"):
         points.add(mpm.fill(points.grid, mpm.Box((0, 0), (1, 1)), 2, 1.0))
     assert points.total == 32
+
+
+def test_a_table_in_another_encoding_is_told_by_its_line(tmp_path):
+    """It had ended in a UnicodeDecodeError."""
+    grid, path = unit_grid("quadrilateral", 4), tmp_path / "points.csv"
+    path.write_bytes("x,y,volume,density\n0.3,0.3,0.01,groß\n".encode("latin-1"))
+    with pytest.raises(ParameterError, match=r"points.csv, line 2, column 'density': 'gro"):
+        mpm.MaterialPoints.from_csv(grid, path)
+    with pytest.raises(FileNotFoundError, match=r"there is no file .*other.csv"):
+        mpm.MaterialPoints.from_csv(grid, tmp_path / "other.csv")
