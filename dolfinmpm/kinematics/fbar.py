@@ -19,7 +19,11 @@ import numpy.typing as npt
 from dolfinmpm.basis.cells import invert
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.operators import KeepingLaw, KeptTangents, if_kept
-from dolfinmpm.kinematics.meanvolumechecks import refuse_dilation, warn_of_compaction
+from dolfinmpm.kinematics.meanvolumechecks import (
+    refuse_dilation,
+    refuse_simplices,
+    warn_of_compaction,
+)
 
 __all__ = ["OWN_SHARE", "VOLUMES", "FBar", "GradientLaw", "share_volumes"]
 
@@ -255,12 +259,14 @@ class FBar:
         For a body that has moved without F-bar, it begins as det F.
 
         Raises:
-            ParameterError: The law has a dilation angle that is not 0.
+            ParameterError: The law has a dilation angle that is not 0, or the cells are triangles
+                or tetrahedra.
 
         Warns:
             SoftVolumeWarning: Cubic splines meet a law of plastic compaction.
         """
         rows = getattr(self.formulation, "rows", np.empty(0, np.int32))
+        refuse_simplices(self.points)
         refuse_dilation(self.formulation, rows, self.points.comm)
         if not self._bound:
             warn_of_compaction(self.formulation, self.points, self._degree)

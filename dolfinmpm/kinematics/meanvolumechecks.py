@@ -6,11 +6,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx.mesh import CellType
 
 from dolfinmpm._platform.errors import ParameterError, SoftVolumeWarning, raise_together, warn
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["refuse_dilation", "warn_of_compaction"]
+__all__ = ["refuse_dilation", "refuse_simplices", "warn_of_compaction"]
+
+
+def refuse_simplices(points: MaterialPoints) -> None:
+    """Raise ParameterError where the volume change is constant in each cell already."""
+    kind = points.grid.topology.cell_type
+    if kind in (CellType.triangle, CellType.tetrahedron) and not points.axisymmetric:
+        raise ParameterError(
+            f"fbar = True would do nothing on a grid of cells of the kind {kind.name}: linear "
+            "functions have one volume change in each of them, and lock for all that. Take "
+            "quadrilaterals or hexahedra"
+        )
 
 
 def refuse_dilation(formulation: Any, rows: npt.NDArray[np.int32], comm) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -123,8 +124,19 @@ class Law(Parametrised):
 
     @property
     def address(self) -> int:
-        """Address of the compiled kernel."""
-        return self.kernel.address
+        """Address of the compiled kernel.
+
+        Raises:
+            ParameterError: The law has none.
+        """
+        found = getattr(self, "kernel", None)
+        address = getattr(found, "address", None)
+        if address is None:
+            raise ParameterError(
+                f"{type(self).__name__}: kernel = {shown(found)} must be a function that "
+                "mpm.materials.law_kernel has compiled, in the class of the law"
+            )
+        return int(address)
 
     @property
     def stress_address(self) -> int:
@@ -132,10 +144,21 @@ class Law(Parametrised):
         return getattr(self.kernel, "stress_address", self.address)
 
     def first_internal(self, parameters: Array) -> Array:
-        """Internal variables of points before any yielding, shape (n, variables)."""
+        """Internal variables of points before any yielding, shape (n, variables).
+
+        Raises:
+            ParameterError: The law declares a variable without a unit and a first value.
+        """
         names = list(self.parameters)
         first = np.empty((len(parameters), len(self.internal)))
-        for k, (_, value) in enumerate(self.internal.values()):
+        for k, (name, declared) in enumerate(self.internal.items()):
+            unit, value = declared if isinstance(declared, tuple) else (None, None)
+            if not isinstance(unit, str) or not (value in names or isinstance(value, Real)):
+                raise ParameterError(
+                    f"{type(self).__name__}: internal[{name!r}] = {declared!r} must be a unit and "
+                    "a first value, (unit, value); the value is a number, or one of the parameters "
+                    f"{', '.join(names)}"
+                )
             first[:, k] = parameters[:, names.index(value)] if isinstance(value, str) else value
         return first
 

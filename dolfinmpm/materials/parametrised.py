@@ -94,6 +94,14 @@ class Parametrised:
     parameters: dict[str, Parameter] = {}
 
     def __init__(self, **values: Value):
+        given_parameters: Any = self.parameters
+        if not isinstance(given_parameters, dict) or not all(
+            isinstance(one, Parameter) for one in given_parameters.values()
+        ):
+            raise ParameterError(
+                f"{type(self).__name__}: parameters = {given_parameters!r} must be a dictionary, "
+                'such as {"E": mpm.materials.Parameter("Pa", low=0.0)}'
+            )
         missing = set(self.parameters) ^ set(values)
         if missing:
             raise ParameterError(
