@@ -123,7 +123,7 @@ def ghost(
             at the facet: a mean over the points of its two cells (see
             `dolfinmpm.cut.facetmoduli`). A penalty in units of E is too weak near
             incompressibility: the local constant rises from 414 at ν = 0 to 7340 at ν = 0.49,
-            but only to 441 with M. With F-bar, M is at most ten times the elastic shear modulus:
+            but only to 441 with M. With F-bar, M is at most 12 times the elastic shear modulus:
             more would lock. "adaptive" chooses γ per facet: the smallest γ for which the
             local constant of the two cells is at most `target`, with the tangent of the laws; see
             `dolfinmpm.assembly.facetpenalties`.
