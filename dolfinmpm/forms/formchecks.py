@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Sequence
 from typing import Any
 
@@ -152,13 +151,15 @@ def check_signs(form: ufl.Form) -> None:
         if acting.once and (acting.name, acting.kind) in seen:
             raise FormError(f"the form has {acting.name} twice: leave one out")
         seen.add((acting.name, acting.kind))
-        sign = _factor(integral.integrand(), acting.integrand)
-        if sign is not None and sign < 0:
+        factor = _factor(integral.integrand(), acting.integrand)
+        if factor is None:
+            continue
+        if factor[0] < 0:
             raise FormError(
                 f"{acting.name} is subtracted from the weak form; all forces are added: write "
                 "F += ..., and give a load that acts the other way a negative value"
             )
-        if "condition" in integral.metadata() and integral.integrand() != acting.integrand:
+        if "condition" in integral.metadata() and factor != (1.0, True):
             raise FormError(
                 f"{acting.name} is scaled in the weak form, and would not be in balance with the "
                 "stresses of the body: write F += ..., without a factor, and give penalty=... or "
@@ -182,7 +183,8 @@ def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
             continue
         declaration = points.declarations[number]
         for part in declaration.terms:
-            if (_factor(integral.integrand(), part) or 1.0) < 0:
+            factor = _factor(integral.integrand(), part)
+            if factor is not None and factor[0] < 0:
                 raise FormError(
                     f"the internal forces (mpm.momentum) of {declaration.law!r} are subtracted, "
                     "and stresses would have the wrong sign: write F = mpm.momentum(...), and "
@@ -248,25 +250,25 @@ def _check_numbers(integrand: Expr) -> None:
             raise FormError(f"the form has the complex number {node}: the solver is of real ones")
 
 
-def _factor(term: Expr, part: Expr) -> float | None:
-    """Sign of the numbers in a product with the given part, or None if it is no such product."""
+def _factor(term: Expr, part: Expr) -> tuple[float, bool] | None:
+    """Product of the numbers that multiply a part of a term, or None if it is no such product.
+
+    Returns:
+        The product, and whether nothing else multiplies the part. Constants and fields are the
+        user's loads: the sign of their values is not the form's sign.
+    """
     if term is part or term == part:
-        return 1.0
-    if isinstance(term, Division):
-        top, bottom = term.ufl_operands
-        return _times(_factor(top, part), bottom)
-    if isinstance(term, Product):
-        a, b = term.ufl_operands
-        first = _factor(a, part)
-        return _times(first, b) if first is not None else _times(_factor(b, part), a)
-    return None
-
-
-def _times(sign: float | None, factor: Expr) -> float | None:
-    # constants and fields are the user's loads: the sign of their values is not the form's sign
-    if sign is None or not isinstance(factor, ScalarValue):
-        return sign
-    return sign * math.copysign(1.0, float(factor))
+        return 1.0, True
+    if not isinstance(term, (Division, Product)):
+        return None
+    a, b = term.ufl_operands
+    found, factor = _factor(a, part), b
+    if found is None and isinstance(term, Product):
+        found, factor = _factor(b, part), a
+    if found is None or not isinstance(factor, ScalarValue):
+        return found and (found[0], False)
+    value = float(factor)
+    return found[0] * (1.0 / value if isinstance(term, Division) else value), found[1]
 
 
 def _check_restricted(integral: Any) -> None:
