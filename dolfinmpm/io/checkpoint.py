@@ -37,7 +37,7 @@ __all__ = ["VERSION", "Checkpoint", "read", "write"]
 Arrays = dict[str, npt.NDArray[Any]]
 State = dict[str, Any]
 
-FORMAT, VERSION = "dolfinmpm checkpoint", 2
+FORMAT, VERSION = "dolfinmpm checkpoint", 3
 
 # Number of positions that ranks exchange at a time.
 _ASKED = 50_000
@@ -128,7 +128,7 @@ def read(
         laws: Descriptions of the laws at the points, as in `write`.
 
     Raises:
-        CheckpointError: The file is missing, cut short, damaged, of a newer version, of
+        CheckpointError: The file is missing, cut short, damaged, of another version, of
             another grid, or of points with other fields or laws.
     """
     comm, grid = points.comm, points.grid

@@ -198,14 +198,14 @@ class RowReader(_RowFile):
         comm: Ranks that read; any number.
         path: The file.
         format: Required name of the format.
-        version: Newest supported version.
+        version: The supported version.
 
     Attributes:
         header: The writer's header.
 
     Raises:
-        CheckpointError: The file is missing, cut short or damaged, or has another format or a
-            newer version.
+        CheckpointError: The file is missing, cut short or damaged, or has another format or
+            another version.
     """
 
     _failure = (
@@ -239,10 +239,11 @@ class RowReader(_RowFile):
         header = json.loads(self._file.read(_HEADER)) if _HEADER in self._file.namelist() else {}
         if header.get("format") != self._format:
             raise CheckpointError(f"{self.path} is an archive, but no {self._format}")
-        if header["version"] > self._version:
+        if (found := header["version"]) != self._version:
+            remedy = "update it" if found > self._version else "write the file anew with this one"
             raise CheckpointError(
-                f"{self.path} has version {header['version']} of a {self._format}, this dolfinmpm "
-                f"reads up to {self._version}: update it"
+                f"{self.path} has version {found} of a {self._format}, this dolfinmpm reads "
+                f"version {self._version}: {remedy}"
             )
         return header
 

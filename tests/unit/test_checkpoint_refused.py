@@ -94,11 +94,11 @@ def test_what_is_no_checkpoint_is_refused(saved, tmp_path):
     refused(tmp_path / "text.npz", other, "it is no archive of NumPy")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     refused(tmp_path / "other.npz", other, "is an archive, but no dolfinmpm checkpoint")
-    newer = tmp_path / "newer.npz"
-    copied(
-        path, newer, {"header.json": lambda text: text.replace(b'"version": 2', b'"version": 3')}
-    )
-    refused(newer, other, "has version 3 .* reads up to 2: update it")
+    for version, remedy in (b"4", "update it"), (b"2", "write the file anew"):
+        changed = tmp_path / "changed.npz"
+        now = b'"version": ' + version
+        copied(path, changed, {"header.json": lambda text, n=now: text.replace(b'"version": 3', n)})
+        refused(changed, other, f"has version {version.decode()} .* reads version 3: {remedy}")
     headless = tmp_path / "headless.npz"
     copied(path, headless, {"header.json": None})
     refused(headless, other, "is an archive, but no dolfinmpm checkpoint")
