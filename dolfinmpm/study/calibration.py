@@ -372,7 +372,7 @@ def _ends(
                 "intervals do not hold there"
             )
             continue
-        # a change of the logarithm by -1 is one of the parameter down to 0, up to rounding
+        # a change of the logarithm by -1 is one of the parameter down to 0; half of it is enough
         fallen = residuals.positive(name) and x[i] < np.log(_SMALL)
         lost = square <= (_ZERO * float(np.abs(slopes).max())) ** 2
         if fallen and (step <= -0.5 or lost):

@@ -25,7 +25,6 @@ KINDS = ("interval", "quadrilateral", "hexahedron")
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 SCENES = [(kind, basis) for kind in KINDS for basis in BASES]
 SCENES += [("distorted quadrilateral", "linear")]
-SIMPLICES = ("triangle", "tetrahedron")
 
 
 class Additive:
@@ -77,27 +76,6 @@ def test_tangent_in_every_basis(kind, basis, strain):
     if strain != "additive":
         with_history(points)
     check(problem)
-
-
-@pytest.mark.parametrize("kind", SIMPLICES)
-def test_simplices_have_one_volume_change_already(kind):
-    """F-bar had done nothing there, and clay had locked in silence."""
-    grid = unit_grid(kind, 3)
-    points = mpm.fill(grid, box(grid), 2, 1.0)
-    V = mpm.Space(grid, "linear")
-    F = additive(points, V.increment, V.test)
-    check(mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")))
-    F = mpm.momentum(Hencky(E=10.0, nu=0.45), points, V.increment, V.test, fbar=True)
-    with pytest.raises(errors.ParameterError, match=f"do nothing .* {kind}: .* quadrilaterals"):
-        mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
-
-
-def test_hoop_strains_of_triangles_have_means():
-    grid = unit_grid("triangle", 3)
-    points = mpm.fill(grid, box(grid), 2, 1.0, axisymmetric=True)
-    V = mpm.Space(grid, "linear")
-    F = mpm.momentum(Hencky(E=10.0, nu=0.45), points, V.increment, V.test, fbar=True)
-    check(mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")))
 
 
 @pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])

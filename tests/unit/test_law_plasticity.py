@@ -15,7 +15,7 @@ from laws import (
 )
 
 from dolfinmpm._platform.errors import ParameterError, StateError
-from dolfinmpm.materials import Hencky, Law, MohrCoulomb, Parameter, Tresca, VonMises
+from dolfinmpm.materials import Hencky, Law, MohrCoulomb, Tresca, VonMises
 from dolfinmpm.materials.base import lame
 
 ROOT = math.sqrt(2 / 3)
@@ -386,18 +386,3 @@ def test_parameters_may_vary_from_point_to_point():
             assert (single(c).respond(strains[p : p + 1]).stress == result.stress[p]).all()
     with pytest.raises(ParameterError, match="dilation"):
         MohrCoulomb(1e6, 0.3, 1e3, lambda x: 40 * x[0], dilation_angle=20.0).parameter_array(x)
-
-
-def test_laws_of_ones_own_that_are_incomplete_are_refused():
-    """They had ended in errors of Python, of attributes, lists and tuples."""
-    modulus = {"E": Parameter("Pa", low=0.0)}
-    for declared, told in (
-        ({"parameters": modulus}, "kernel = None must be a function .*law_kernel"),
-        ({"parameters": modulus, "kernel": print}, "kernel = .* must be a function .*law_kernel"),
-        ({"parameters": ["E"]}, "must be a dictionary"),
-        ({"parameters": {"E": 1.0}}, "must be a dictionary"),
-        ({"parameters": modulus, "internal": {"a": 0.0}}, r"internal\['a'\] = 0.0 must be a unit"),
-        ({"parameters": modulus, "internal": {"a": ("Pa", "c")}}, "one of the parameters E"),
-    ):
-        with pytest.raises(ParameterError, match=told):
-            type("Own", (Law,), declared)(E=1.0).respond([[0.0, 0.0, 1.0]])
