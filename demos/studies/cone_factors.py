@@ -9,7 +9,7 @@ What comes out with `--refine --h 0.25`, means of the last 2 R of the way, in % 
 | clay | way | I_r = 50 | 100 | 300 |
 |---|---|---|---|---|
 | Tresca | 8 R | +6.1 | +6.6 | -2.2 |
-| Tresca | 16 R | | +10.2 | +5.0 |
+| Tresca | 16 R | +7.1 | +10.2 | +5.3 |
 | Tresca | 22 R | | | +7.2 |
 | von Mises, `--criterion shear` | 8 R | | -4.4 | |
 | von Mises, `--criterion shear` | 16 R | | | -6.3 |
