@@ -1,4 +1,4 @@
-"""Bounds of energy without a cause: of contact, penalties, walls, and explicit runs."""
+"""Bounds of energy without a cause: of contact, penalties, and explicit runs."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.errors import InstabilityError
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.ledger import Ledger, Work
 from dolfinmpm.dynamics.nodalmass import Mass
 
-__all__ = ["SHORTEST", "EnergyBalance", "EnergyGain", "PenaltyEnergy", "WallEnergy"]
+__all__ = ["SHORTEST", "EnergyBalance", "EnergyGain", "PenaltyEnergy"]
 
 Array = npt.NDArray[np.float64]
 
@@ -22,8 +21,6 @@ Array = npt.NDArray[np.float64]
 _MOST, _SINGLE = 5e-4, 2e-5
 # Shortest substep, as a share of the step, to bound the gain: a quarter makes a sixteenth of it
 SHORTEST = 0.25
-# Largest work of walls at rest, as a share of the whole energy
-_OF_WALLS = 0.1
 
 
 class EnergyGain:
@@ -102,48 +99,6 @@ class PenaltyEnergy:
             left = max(self.energy[k], 0.0)
             if most > left:
                 self.share[k] = math.sqrt(left / most)
-
-
-class WallEnergy:
-    """Work that walls have done on a body in implicit steps.
-
-    Walls at rest store energy and rub. So this work is negative, or 0 after contact without
-    friction. But a penalty that begins or ends to act within a step does the work of the mean of
-    its forces, and not of its energy. A stiff wall may so multiply the energy of an impact.
-
-    Attributes:
-        done: Sum of the works in the steps taken (J).
-    """
-
-    def __init__(self) -> None:
-        self.done = 0.0
-
-    def judge(self, work: float, whole: float, dt: float, may_halve: bool) -> str | None:
-        """The reason to halve a step, or None.
-
-        Args:
-            work: Work of the walls in the step (J).
-            whole: First energy plus work of loads (J).
-            dt: Length of the step (s).
-            may_halve: Whether the step may be halved.
-
-        Raises:
-            InstabilityError: The walls have done too much work, and the step may not be halved.
-        """
-        if work > 0.0 and self.done + work > _OF_WALLS * abs(whole) > 0.0:
-            reason = (
-                f"walls (mpm.signorini) at rest have given {self.done + work:.4g} J to a body with "
-                f"{abs(whole):.4g} J of first energy and work of loads, more than the share "
-                f"{_OF_WALLS:g}"
-            )
-            if not may_halve:
-                raise InstabilityError(
-                    f"{reason}, in a step of {dt:.3g} s. The state is that before it. Take "
-                    'mass="lumped", or GeneralisedAlpha with rho_inf = 0, or a smaller penalty of '
-                    "the wall, or smaller steps"
-                )
-            return reason
-        return None
 
 
 class EnergyBalance:

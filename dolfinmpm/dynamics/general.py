@@ -142,7 +142,7 @@ class GeneralSteps(ExplicitBase):
         self._work.start += energy_of_start(mass, forces, V_end - V, here, dt, kick)
         self._count(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
-        held_work, late_work, _ = works_of_boundaries(operator, at_start, state)
+        held_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
         self._work.external += held_work + problem.bodies.commit(problem.bodies.acting(operator))
         return commit(points, state)

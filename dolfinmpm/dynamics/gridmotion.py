@@ -15,8 +15,8 @@ from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.boundarywork import boundary_forces
-from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy, WallEnergy
+from dolfinmpm.dynamics.boundarywork import boundary_forces, forces_without_contact, has_walls
+from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.inertiaterm import Dashpots
 from dolfinmpm.dynamics.ledger import Ledger, Work
@@ -58,7 +58,6 @@ class GridMotion:
         penalty_energy: Energy taken by penalties on changes of velocity.
         nodes: Nodes of each field that moves points, at the start of the last step.
         varying: Whether any load changes in the present step.
-        walls: Work of walls so far.
         held_at_start: Forces of boundaries at the start of the step (N), shape (nodes, components)
             per field, or None without boundaries.
     """
@@ -78,7 +77,6 @@ class GridMotion:
         self.rule, self.mapping, self.terms = rule, mapping, terms
         self._points, self._sides, self.varying = points, sides, False
         self.ledger, self.penalty_energy, self._gain = ledger, PenaltyEnergy(), EnergyGain()
-        self.walls = WallEnergy()
         # whether the accelerations at the start of the next step follow from M a = f
         self._starting = True
         # times of the start and of the end of the substep (s)
@@ -120,7 +118,7 @@ class GridMotion:
             plain.move_to_start()
             self.held_at_start = boundary_forces(plain)
         if self._starting or self.rule.by_forces:
-            start = plain.forces(without=("contact",))
+            start = forces_without_contact(plain)
         self.nodes = [
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
             for k in here.movers
@@ -201,7 +199,7 @@ class GridMotion:
             A_end = rule.acceleration(u, one.V, one.A, dt)
             V_end = rule.velocity(one.V, one.A, A_end, dt)
             push = None
-            if operator.has("contact"):
+            if _touches(operator):
                 push = self._push(one, operator)
                 V_end, A_end = rule.with_contact(V_end, A_end, push, dt)
             motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
@@ -250,7 +248,7 @@ class GridMotion:
             if faces is not None and faces.waves:
                 work.external += work_of_waves(faces.waves, self._times, one, motion, operator)
         # with a lumped mass, the mapping changes energy more than the rule does
-        if operator.has("contact") and self.terms.kind == "consistent":
+        if _touches(operator) and self.terms.kind == "consistent":
             contact = work_of_contact(operator, self.nodes)
             reason = self._gain.judge(work, contact, self.ledger.whole, may_halve)
             if reason is not None:
@@ -312,7 +310,6 @@ class GridMotion:
             "starting": int(self._starting),
             "reserve": sorted(self.penalty_energy.energy.items()),
             "gained": self._gain.made,
-            "walls": self.walls.done,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -320,4 +317,9 @@ class GridMotion:
         self._starting = bool(state["starting"])
         self.penalty_energy.energy.clear()
         self.penalty_energy.energy.update({int(k): energy for k, energy in state["reserve"]})
-        self._gain.made, self.walls.done = state["gained"], state["walls"]
+        self._gain.made = state["gained"]
+
+
+def _touches(operator: Operator) -> bool:
+    """Whether forces of contact act in the mean over a step."""
+    return operator.has("contact") or has_walls(operator)

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.dynamics.boundarywork import forces_without_contact, has_walls, wall_forces
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
@@ -57,7 +58,10 @@ def mean_contact_forces(operator: Operator) -> list[Array]:
     """Mean forces of contact on the nodes of each field (N). Collective."""
     means = operator.form.means
     assert means is not None
-    return [np.asarray(-force / means.weight) for force in operator.forces_of("contact")]
+    forces = [np.asarray(-force / means.weight) for force in operator.forces_of("contact")]
+    if has_walls(operator):
+        forces = [a + b for a, b in zip(forces, wall_forces(operator, "force"))]
+    return forces
 
 
 def work_of_contact(operator: Operator, nodes: Sequence[MovingNodes]) -> float:
@@ -98,9 +102,9 @@ def work_of_loads(
         plain.move(x, scale)
         return plain.load_work()
     plain.move_to_start()
-    start = plain.forces(without=("contact",))
+    start = forces_without_contact(plain)
     plain.move(x, scale)
-    both = zip(start, plain.forces(without=("contact",)), mean_contact_forces(operator))
+    both = zip(start, forces_without_contact(plain), mean_contact_forces(operator))
     forces = [0.5 * (f + g) - push for f, g, push in both]
     for one, motion in moved:
         forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt

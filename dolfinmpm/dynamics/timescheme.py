@@ -18,7 +18,7 @@ from dolfinx import fem
 from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.dynamics.boundarywork import fields_at_level, works_of_boundaries
+from dolfinmpm.dynamics.boundarywork import works_of_boundaries
 from dolfinmpm.dynamics.clock import (
     MotionRecord,
     Time,
@@ -287,27 +287,21 @@ class NewmarkScheme(TimedScheme):
         for update in problem.form.updates if scale != 1.0 else ():
             if update.carried:
                 update.run(operator.points, carried)
-        level = None
         if scale != 1.0:
-            level = fields_at_level(operator)
             operator.move(x, scale)
         state = new_state(problem, operator, carried=carried)
         if isinstance(state, str):
             return state
         self._load_at(problem, step, 1.0)
-        held_work, _, of_walls = works_of_boundaries(operator, motion.held_at_start, state, level)
+        held_work, _ = works_of_boundaries(operator, motion.held_at_start, state)
         self._load_at(problem, step, 0.5)
         may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings
         motions = motion.ends(operator, step.dt)
         reason, largest = self._judge(motions, operator.here, step.dt)
         if reason is None:
-            whole = motion.ledger.whole + held_work
-            reason = motion.walls.judge(of_walls, whole, step.dt, may_halve)
-        if reason is None:
             reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
         if reason is None:
             self.count(held_work)
-            motion.walls.done += of_walls
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)

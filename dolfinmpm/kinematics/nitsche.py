@@ -86,6 +86,7 @@ class WeakCondition:
     on: str | None
     updates: dict[str, Expr]
     direction: Any = None
+    pushes = False
 
     @property
     def local(self) -> bool:
@@ -133,7 +134,7 @@ class WeakCondition:
             moduli = self.declaration.elastic.moduli()[:, 0]
             markers[self.stiffness][rows] = self.penalty * moduli / sizes[rows]
 
-    def own_work(self, fields: Any, moved: Any, level: Any = None) -> float:
+    def own_work(self, fields: Any, moved: Any) -> float:
         """See `Wall.own_work`: a prescribed motion does all the work of its forces."""
         return 0.0
 

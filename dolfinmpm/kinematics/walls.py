@@ -10,10 +10,13 @@ at the start of the step plus n·u. It continues below zero, so that a body that
 the same place. At markers without earlier contact, the gap is the distance from the nearest point's
 domain.
 
-In implicit steps with a consistent mass, this contact oscillates, like any stiff penalty. Steps
-that do not resolve its oscillations may multiply the energy of an impact, also those of
-`GeneralisedAlpha` with ρ∞ = 0.8. A lumped mass, or ρ∞ = 0, damps the oscillations, and takes some
-energy. A step ends with an `InstabilityError` where walls at rest have given a tenth of the energy.
+In implicit steps with inertia the mean of these forces over the step acts, which makes no energy.
+With q = g at the start (0) and at the end (1) of the step,
+
+    p̄ = k (⟨q₁⟩² − ⟨q₀⟩²) / (2 (q₁ − q₀)),    t̄_s = (t₀ + t₁)/2,   |t̄_s| ≤ μ p̄,
+
+so that p̄ (q₁ − q₀) is the change of the stored energy ½ k ⟨g⟩² (Laursen & Chawla 1997). See
+`dolfinmpm.contact.meanforces` for the same with rigid bodies.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
@@ -42,6 +45,7 @@ from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.lawterms import flux
 from dolfinmpm.kinematics.walldistance import in_front, look_ahead
+from dolfinmpm.kinematics.walltractions import WallTractions
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -52,12 +56,12 @@ __all__ = ["Wall", "signorini"]
 # stiffness; where the wall were much stiffer than the body, the next iteration would have it slide
 # back, and so on.
 _PENALTY, _SLIP = 1e2, 0.5
+# In steps with inertia it is this share of the penalty: inertia keeps such iterations apart
+_SLIP_IN_TIME = 0.5
 # Markers so many cells apart touch the same part of a body that slides
 _NEAR = 1.0
 # A body so near in units of a cell touches
 _TOUCHES = 1e-9
-# Tractions so near to the limit of friction, as a share, are at it
-_ROUNDING = 1e-14
 # slip below this share of a cell has no direction
 _STILL = 1e-12
 
@@ -73,9 +77,13 @@ class Wall:
         penalty: Penalty in units of M/h.
         name: First part of the names of its fields.
         friction: Coefficient μ of Coulomb's friction.
+        given_slip: Stiffness against slip in units of M/h, or None for one that the steps choose.
         slip: Stiffness against slip over the penalty.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
         updates: Fields that a step sets, by name.
+        u: Increment of the body's displacement.
+        weight: Weight of the mean force over the step in the balance; 0 for the force at its end.
+        scale: Increments at the end of the step over those at the time of the balance.
     """
 
     boundary: Boundary
@@ -84,11 +92,16 @@ class Wall:
     penalty: float
     name: str
     friction: float
-    slip: float
+    given_slip: float | None
+    slip: fem.Constant
     stiffness: str
     updates: dict[str, Expr]
+    u: fem.Function
+    weight: fem.Constant
+    scale: fem.Constant
     local = False
     exact = False
+    pushes = True
 
     def __repr__(self) -> str:
         return f"the wall at '{self.boundary.name}'"
@@ -100,17 +113,17 @@ class Wall:
     def stiffest(self) -> npt.NDArray[np.float64]:
         """Largest stiffness at the markers of this rank (Pa/m), 0 if no body is in front."""
         markers = self.boundary.markers
-        return max(1.0, self.slip) * markers[self.stiffness] * markers[f"{self.name}_on"]
+        return (
+            max(1.0, float(self.slip.value)) * markers[self.stiffness] * markers[f"{self.name}_on"]
+        )
 
     def states(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Which markers of this rank touch, and which of them slip, after a step."""
         markers = self.boundary.markers
-        gap, k = markers[f"{self.name}_gap"], markers[self.stiffness]
-        touches = gap > 0.0
-        bound = min(self.friction, LARGEST_FRICTION) * k * gap
-        held = np.linalg.norm(markers[f"{self.name}_shear"], axis=1)
-        # the tractions of markers that slip are those of the limit, to rounding
-        return touches, touches & (self.friction > 0.0) & (held > (1.0 - _ROUNDING) * bound)
+        touches = markers[f"{self.name}_gap"] > 0.0
+        if not self.friction:
+            return touches, np.zeros_like(touches)
+        return touches, touches & (markers[f"{self.name}_slips"] > 0.0)
 
     def energy(self) -> tuple[float, float]:
         """Energy stored by the penalties, and work of friction so far, at this rank's markers (J).
@@ -120,10 +133,11 @@ class Wall:
         markers = self.boundary.markers
         k, gap = markers[self.stiffness], np.maximum(markers[f"{self.name}_gap"], 0.0)
         stored = float(np.sum(0.5 * markers["V"] * k * gap**2))
-        if not self.slip:
+        slip = float(self.slip.value)
+        if not slip:
             return stored, 0.0
         shear = np.sum(markers[f"{self.name}_shear"] ** 2, axis=1)
-        resists = np.where(k > 0.0, self.slip * k, np.inf)
+        resists = np.where(k > 0.0, slip * k, np.inf)
         stored += float(np.sum(0.5 * markers["V"] * shear / resists))
         return stored, float(np.sum(markers[f"{self.name}_rubbed"]))
 
@@ -131,23 +145,33 @@ class Wall:
         self,
         fields: Mapping[str, npt.NDArray[np.float64]],
         moved: npt.NDArray[np.float64],
-        level: Mapping[str, npt.NDArray[np.float64]] | None = None,
     ) -> float:
-        """Work of the wall in a step at this rank's markers (J), before the step is taken.
+        """Work of the wall in an explicit step at this rank's markers (J), before it is taken.
 
         Args:
             fields: New values of the markers' fields.
             moved: Displacements of the body at the markers (m), shape (markers, d).
-            level: The fields at the time at which forces balance, if it is within the step. The
-                work is then that of the forces at this time.
         """
         markers = self.boundary.markers
-        if level is not None:
-            return float(np.sum(level[f"{self.name}_force"] * moved))
         p = markers[self.stiffness] * np.maximum(markers[f"{self.name}_gap"], 0.0)
         force = markers["V"][:, None] * markers[f"{self.name}_shear"]
         force -= p[:, None] * markers["area"]
         return 0.5 * float(np.sum((force + fields[f"{self.name}_force"]) * moved))
+
+    def act(self, in_time: bool, means: Any) -> None:
+        """Act in the steps of a problem.
+
+        Args:
+            in_time: Whether its steps have inertia. Then friction is stiff, unless its stiffness
+                is given: traction that grows with the slip of a body that hops is not that of its
+                pressure.
+            means: Weights of mean forces, see `dolfinmpm.contact.meanforces`; None for forces at
+                an end of the step.
+        """
+        self.weight.value = 0.0 if means is None else means.weight
+        self.scale.value = 1.0 if means is None else means.scale
+        if self.friction and self.given_slip is None:
+            self.slip.value = _SLIP_IN_TIME if in_time else _SLIP / self.penalty
 
     def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the penalty, and find the markers with the body in front and their gaps.
@@ -211,14 +235,6 @@ def _check_stiffness(stiffness_per_area: Any, law: Any, tag: Any) -> None:
         refuse_idle(what, given, None, "leave it out, or leave out stiffness_per_area")
 
 
-def _returned(grid: mesh.Mesh, trial: Expr, stick: Expr, bound: Expr, on: Expr) -> Any:
-    """The shear traction (Pa): the trial one if it sticks, or one of the size of its bound."""
-    least = stick * own_constant(grid, _STILL * largest_cell(grid))
-    size = ufl.sqrt(ufl.dot(trial, trial) + least**2)
-    # the traction is continuous at the bound, so that Newton's method takes either branch
-    return on * ufl.conditional(ufl.gt(size, bound), bound / size, 1.0) * trial
-
-
 @collective
 def signorini(
     boundary: Boundary,
@@ -230,7 +246,7 @@ def signorini(
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
     penalty: float = _PENALTY,
-    slip_penalty: float = _SLIP,
+    slip_penalty: float | None = None,
     stiffness_per_area: float | None = None,
 ) -> ufl.Form:
     """A wall that takes compression but no tension: a term to add to a form.
@@ -245,7 +261,8 @@ def signorini(
         friction: Coefficient μ of Coulomb's friction.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
         penalty: k in units of M/h; see `dirichlet`, also for what explicit steps bear.
-        slip_penalty: Stiffness against slip that sticks, likewise.
+        slip_penalty: Stiffness against slip that sticks, likewise: by default 0.5, and half the
+            penalty in steps with inertia, where a body may hop.
         stiffness_per_area: k itself (Pa/m), instead; that against slip is slip_penalty/penalty
             of it.
 
@@ -279,11 +296,13 @@ def signorini(
             "mpm.Boundary.from_side, or with follows=False, activates=False"
         )
     mu = friction_coefficient(friction)
-    number("penalty", penalty, 0.0), number("slip_penalty", slip_penalty, 0.0)
+    number("penalty", penalty, 0.0)
+    if slip_penalty is not None:
+        number("slip_penalty", slip_penalty, 0.0)
     if d == 1:
         refuse_idle("friction", mu, 0.0, "in 1D nothing slides along a wall; leave it out")
     if not mu:
-        refuse_idle("slip_penalty", slip_penalty, 0.5, "it is of friction: give friction=")
+        refuse_idle("slip_penalty", slip_penalty, None, "it is of friction: give friction=")
     _check_stiffness(stiffness_per_area, law, tag)
     declaration = None if law is None else flux(law, markers, u, strain, tag)[1]
     name = f"wall{len(boundary.forces) + 1}"
@@ -293,30 +312,30 @@ def signorini(
     on = markers.add_field(f"{name}_on")
     k = markers.add_field(f"{name}_stiffness", (), "Pa/m")
     force = markers.add_field(f"{name}_force", (d,), "N")
-    n = boundary.normal
-    g = on * (gap + ufl.dot(n, u))
-    # a body that just touches is pushed back from the first iteration on
-    p = k * ufl.conditional(ufl.ge(g, 0.0), g, 0.0)
-    traction = -p * n
-    updates = {gap.name: g}
+    acting = markers.add_field(f"{name}_acting", (d,), "N")
     if mu > 0:
-        stick = k * own_constant(markers.grid, slip_penalty / penalty)
+        markers.add_field(f"{name}_slips")
+    rubbed = markers.add_field(f"{name}_rubbed", (), "J")
+    weight, scale = own_constant(markers.grid, 0.0), own_constant(markers.grid, 1.0)
+    share = (_SLIP if slip_penalty is None else slip_penalty) / penalty
+    slip = own_constant(markers.grid, share if mu > 0 else 0.0)
+    tractions = WallTractions(
+        boundary.normal, markers.V, on, gap, shear, rubbed, k,
+        stick=k * slip,
         # with an infinite μ, too, nothing holds a body that has lifted off
-        bound = own_constant(markers.grid, min(mu, LARGEST_FRICTION)) * p
-        trial = shear - stick * (u - ufl.dot(n, u) * n)
-        returned = _returned(markers.grid, trial, stick, bound, on)
-        traction += returned
-        updates[shear.name] = returned
-        rubbed = markers.add_field(f"{name}_rubbed", (), "J")
-        # slip without that of the stiffness, against the mean of the tractions
-        slipped = (trial - returned) / ufl.conditional(ufl.gt(stick, 0.0), stick, 1.0)
-        updates[rubbed.name] = rubbed + 0.5 * ufl.dot(shear + returned, slipped) * markers.V
-    updates[force.name] = traction * markers.V
+        friction=own_constant(markers.grid, min(mu, LARGEST_FRICTION)) if mu > 0 else None,
+        still=own_constant(markers.grid, _STILL * largest_cell(markers.grid)),
+        weight=weight,
+    )  # fmt: skip
+    traction = tractions.in_balance(scale * u)
+    updates = {f"{name}_{key}": value for key, value in tractions.new_fields(u).items()}
+    updates[force.name] = tractions.mean_or_end(u) * markers.V
+    updates[acting.name] = traction * markers.V
     boundary.forces.append(force.name)
-    slip = slip_penalty / penalty if mu > 0 else 0.0
     wall = Wall(
-        boundary, declaration, stiffness_per_area, float(penalty), name, mu, slip, k.name, updates
-    )
+        boundary, declaration, stiffness_per_area, float(penalty), name, mu, slip_penalty, slip,
+        k.name, updates, u, weight, scale,
+    )  # fmt: skip
     mark = {**boundary.ds.metadata(), "condition": wall}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)

@@ -57,6 +57,8 @@ class BoundaryTerm(Term):
             {name: e for c in of.conditions for name, e in c.updates.items()},
             of.regions, spaces, of.boundary.markers,
         )  # fmt: skip
+        self._in_time = False
+        self._means: Any = None
 
     @property
     def markers(self) -> MaterialPoints:
@@ -71,6 +73,17 @@ class BoundaryTerm(Term):
         """See `Term`. Collective."""
         for declaration in self.declarations:
             declaration.bind()
+
+    def start_in_time(self, means: Any) -> None:
+        """See `Term`."""
+        self._in_time, self._means = True, means
+        self._set_walls()
+
+    def _set_walls(self) -> None:
+        """Let walls act as in the steps of this problem; other problems may share them."""
+        for condition in self.conditions:
+            if condition.pushes:
+                condition.act(self._in_time, self._means)
 
     def place(self) -> None:
         """Bring markers to the ranks of their cells, with the state of the nearest points.
@@ -113,6 +126,7 @@ class BoundaryTerm(Term):
         markers = self.markers
         rows = np.sort(here.fields[0].of_markers[markers.number].order)
         first = here.fields[0]
+        self._set_walls()
         for condition in self.conditions:
             condition.prepare(rows, _sizes(self.boundary, first))
         # constants are kept for one field only

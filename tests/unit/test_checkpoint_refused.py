@@ -18,6 +18,7 @@ from test_checkpoint import QUADRILATERAL, bits, block
 import dolfinmpm as mpm
 from dolfinmpm import errors
 from dolfinmpm._platform.errors import CheckpointError
+from dolfinmpm.io.checkpoint import VERSION
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +95,12 @@ def test_what_is_no_checkpoint_is_refused(saved, tmp_path):
     refused(tmp_path / "text.npz", other, "it is no archive of NumPy")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     refused(tmp_path / "other.npz", other, "is an archive, but no dolfinmpm checkpoint")
-    for version, remedy in (b"4", "update it"), (b"2", "write the file anew"):
+    for version, remedy in (VERSION + 1, "update it"), (VERSION - 1, "write the file anew"):
         changed = tmp_path / "changed.npz"
-        now = b'"version": ' + version
-        copied(path, changed, {"header.json": lambda text, n=now: text.replace(b'"version": 3', n)})
-        refused(changed, other, f"has version {version.decode()} .* reads version 3: {remedy}")
+        old, now = (b'"version": %d' % n for n in (VERSION, version))
+        change = {"header.json": lambda text, old=old, now=now: text.replace(old, now)}
+        copied(path, changed, change)
+        refused(changed, other, f"has version {version} .* reads version {VERSION}: {remedy}")
     headless = tmp_path / "headless.npz"
     copied(path, headless, {"header.json": None})
     refused(headless, other, "is an archive, but no dolfinmpm checkpoint")
