@@ -51,13 +51,17 @@ from dolfinmpm.materials.neohookean import NeoHookean
 
 __all__ = ["Wall", "signorini"]
 
-# Penalties in units of M/h: the body gets into a wall by a hundredth of a cell's compression. Slip
+# Penalties in units of M/h: the body gets into a wall by a hundredth of a cell's compression, in
+# explicit steps by a tenth, because stiff walls need short steps. Slip
 # that sticks is softer by far. Newton's method takes all that slides for sliding on, without
 # stiffness; where the wall were much stiffer than the body, the next iteration would have it slide
 # back, and so on.
-_PENALTY, _SLIP = 1e2, 0.5
+_PENALTY, _EXPLICIT, _SLIP = 1e2, 10.0, 0.5
 # In steps with inertia it is this share of the penalty: inertia keeps such iterations apart
 _SLIP_IN_TIME = 0.5
+# Stiffness that explicit steps count, as a multiple: they take half of the length that is stable. A
+# penalty that begins to act within a longer step makes up to a tenth of an impact's energy.
+_COUNTS = 4.0
 # Markers so many cells apart touch the same part of a body that slides
 _NEAR = 1.0
 # A body so near in units of a cell touches
@@ -66,7 +70,7 @@ _TOUCHES = 1e-9
 _STILL = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Wall:
     """A wall and its fields at the markers.
 
@@ -74,7 +78,7 @@ class Wall:
         boundary: The wall.
         declaration: The law at the markers; None where the stiffness is given.
         fixed: Penalty (Pa/m), or None.
-        penalty: Penalty in units of M/h.
+        given_penalty: Penalty in units of M/h, or None for one that the steps choose.
         name: First part of the names of its fields.
         friction: Coefficient μ of Coulomb's friction.
         given_slip: Stiffness against slip in units of M/h, or None for one that the steps choose.
@@ -84,12 +88,13 @@ class Wall:
         u: Increment of the body's displacement.
         weight: Weight of the mean force over the step in the balance; 0 for the force at its end.
         scale: Increments at the end of the step over those at the time of the balance.
+        penalty: The penalty of the present steps, in units of M/h.
     """
 
     boundary: Boundary
     declaration: Declaration | None
     fixed: float | None
-    penalty: float
+    given_penalty: float | None
     name: str
     friction: float
     given_slip: float | None
@@ -99,6 +104,7 @@ class Wall:
     u: fem.Function
     weight: fem.Constant
     scale: fem.Constant
+    penalty: float = _PENALTY
     local = False
     exact = False
     pushes = True
@@ -111,11 +117,10 @@ class Wall:
         return self.boundary.markers[self.stiffness]
 
     def stiffest(self) -> npt.NDArray[np.float64]:
-        """Largest stiffness at the markers of this rank (Pa/m), 0 if no body is in front."""
+        """Stiffness that counts in explicit steps at the markers (Pa/m), 0 without a body there."""
         markers = self.boundary.markers
-        return (
-            max(1.0, float(self.slip.value)) * markers[self.stiffness] * markers[f"{self.name}_on"]
-        )
+        k = _COUNTS * max(1.0, float(self.slip.value)) * markers[self.stiffness]
+        return k * markers[f"{self.name}_on"]
 
     def states(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Which markers of this rank touch, and which of them slip, after a step."""
@@ -170,8 +175,10 @@ class Wall:
         """
         self.weight.value = 0.0 if means is None else means.weight
         self.scale.value = 1.0 if means is None else means.scale
-        if self.friction and self.given_slip is None:
-            self.slip.value = _SLIP_IN_TIME if in_time else _SLIP / self.penalty
+        self.penalty = self.given_penalty or (_EXPLICIT if in_time and not means else _PENALTY)
+        if self.friction:
+            stiff = _SLIP_IN_TIME * self.penalty if in_time else _SLIP
+            self.slip.value = (self.given_slip or stiff) / self.penalty
 
     def prepare(self, rows: npt.NDArray[np.integer], sizes: npt.NDArray[np.float64]) -> None:
         """Set the penalty, and find the markers with the body in front and their gaps.
@@ -245,7 +252,7 @@ def signorini(
     friction: float = 0.0,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
-    penalty: float = _PENALTY,
+    penalty: float | None = None,
     slip_penalty: float | None = None,
     stiffness_per_area: float | None = None,
 ) -> ufl.Form:
@@ -260,7 +267,7 @@ def signorini(
             stiffness per area.
         friction: Coefficient μ of Coulomb's friction.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
-        penalty: k in units of M/h; see `dirichlet`, also for what explicit steps bear.
+        penalty: k in units of M/h, see `dirichlet`: by default 100, and 10 in explicit steps.
         slip_penalty: Stiffness against slip that sticks, likewise: by default 0.5, and half the
             penalty in steps with inertia, where a body may hop.
         stiffness_per_area: k itself (Pa/m), instead; that against slip is slip_penalty/penalty
@@ -296,9 +303,9 @@ def signorini(
             "mpm.Boundary.from_side, or with follows=False, activates=False"
         )
     mu = friction_coefficient(friction)
-    number("penalty", penalty, 0.0)
-    if slip_penalty is not None:
-        number("slip_penalty", slip_penalty, 0.0)
+    for what, given in (("penalty", penalty), ("slip_penalty", slip_penalty)):
+        if given is not None:
+            number(what, given, 0.0)
     if d == 1:
         refuse_idle("friction", mu, 0.0, "in 1D nothing slides along a wall; leave it out")
     if not mu:
@@ -317,8 +324,7 @@ def signorini(
         markers.add_field(f"{name}_slips")
     rubbed = markers.add_field(f"{name}_rubbed", (), "J")
     weight, scale = own_constant(markers.grid, 0.0), own_constant(markers.grid, 1.0)
-    share = (_SLIP if slip_penalty is None else slip_penalty) / penalty
-    slip = own_constant(markers.grid, share if mu > 0 else 0.0)
+    slip = own_constant(markers.grid, 0.0)
     tractions = WallTractions(
         boundary.normal, markers.V, on, gap, shear, rubbed, k,
         stick=k * slip,
@@ -333,9 +339,10 @@ def signorini(
     updates[acting.name] = traction * markers.V
     boundary.forces.append(force.name)
     wall = Wall(
-        boundary, declaration, stiffness_per_area, float(penalty), name, mu, slip_penalty, slip,
+        boundary, declaration, stiffness_per_area, penalty, name, mu, slip_penalty, slip,
         k.name, updates, u, weight, scale,
     )  # fmt: skip
+    wall.act(False, None)
     mark = {**boundary.ds.metadata(), "condition": wall}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)

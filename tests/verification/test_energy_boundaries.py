@@ -158,7 +158,7 @@ def test_a_block_slides_down_a_wall(kind, dt, options):
     assert way[0] == pytest.approx(0.08 * (g[0] + mu * g[1]), rel=0.015)
     assert abs(way[1]) < 1e-3
     assert abs(e["integrator"]) < (0.02 if kind is mpm.Explicit else 5e-3) * e.external
-    assert e["friction"] == pytest.approx(-mu * 1000.0 * g[1] * way[0], rel=0.1)
+    assert e["friction"] == pytest.approx(-mu * 1000.0 * g[1] * way[0], rel=0.15)
 
 
 def test_infinite_friction_of_a_wall_ends_with_the_contact():
