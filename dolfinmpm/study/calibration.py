@@ -173,7 +173,9 @@ def calibrate(
     if progress is not None:
         check_function("progress", progress, "of a row of the trace")
     data, scaled = _measurements(measured, {} if weights is None else weights)
-    residuals = WeightedResiduals(scene, start, sizes, data, scaled, progress)
+    settings = {"bounds": bounds, "confidence": confidence, "tolerance": tolerance,
+                "max_runs": max_runs}  # fmt: skip
+    residuals = WeightedResiduals(scene, start, sizes, data, scaled, settings, progress)
     if residuals.count < len(start):
         zero = " (those of weight 0 do not count)" * any((w == 0).any() for w in scaled.values())
         raise ParameterError(

@@ -33,6 +33,7 @@ class WeightedResiduals:
         sizes: Sizes of the parameters.
         measured: Name → measurements after each step; NaN where there is none.
         weights: Name → weights, of the same shapes; measurements of weight zero do not count.
+        settings: What else all ranks must have in common, by name, such as bounds.
         say: Function of a row of the trace, or None.
 
     Attributes:
@@ -45,11 +46,12 @@ class WeightedResiduals:
 
     def __init__(
         self, scene: Scene, start: Mapping[str, float], sizes: Mapping[str, float],
-        measured: dict[str, Array], weights: dict[str, Array],
+        measured: dict[str, Array], weights: dict[str, Array], settings: Mapping[str, Any],
         say: Callable[[dict[str, Any]], Any] | None,
     ):  # fmt: skip
         self._scene, self._start, self._sizes, self._say = scene, dict(start), dict(sizes), say
         self._measured, self._weights = measured, weights
+        self._compared = {"measured": measured, "weights": weights, **settings}
         # a residual of weight zero would be a degree of freedom that tells nothing
         self._keep = {k: np.isfinite(v) & (weights[k] > 0) for k, v in measured.items()}
         self.count = sum(int(keep.sum()) for keep in self._keep.values())
@@ -87,8 +89,7 @@ class WeightedResiduals:
         run = self._scene(m)
         if isinstance(run, Run):
             self._comm = run.problems[0].comm
-            given = {"measured": self._measured, "weights": self._weights}
-            check_same_call(self._comm, "study.calibrate", **given)
+            check_same_call(self._comm, "study.calibrate", **self._compared)
         return run
 
     def run(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:

@@ -119,12 +119,14 @@ def _of_studies(s, at):
         problem = _fresh(s)
         return mpm.study.Run(problem, [problem.step], {"y": lambda: m["a"]})
 
-    def fitted(y):
-        return mpm.study.calibrate(run, {"a": 1.0}, {"y": [y]})
+    def fitted(y, **options):
+        return mpm.study.calibrate(run, {"a": 1.0}, {"y": [y]}, **options)
 
     return [
         (lambda: mpm.study.differentiate(run, {"a": _last(1.0, 2.0)}), "a of parameters differs"),
         (lambda: fitted(_last(3.0, 4.0)), "y of measured differs"),
+        (lambda: fitted(3.0, bounds={"a": (0.5, _last(8.0, 9.0))}), "a of bounds differs"),
+        (lambda: fitted(3.0, max_runs=_last(8, 9)), "max_runs differs"),
         (lambda: strength(_last(2.0, 3.0)), "high differs between ranks: 2.0 on"),
         (lambda: mpm.study.conditioning(solver, _last(1.0, 2.0)), "density differs"),
         (lambda: mpm.study.write_table([], at / _last("a.csv", "b.csv")), "path differs"),
