@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import CheckpointError
 
 __all__ = ["set_values", "values_of_cells"]
 
@@ -20,7 +20,7 @@ def _nodes(function: fem.Function) -> tuple[npt.NDArray[np.int32], Array, int]:
     try:
         x = space.tabulate_dof_coordinates()
     except RuntimeError as cause:
-        raise FormError(
+        raise CheckpointError(
             f"the function '{function.name}' of the element {space.ufl_element()} has no values "
             "at nodes; interpolate it into a Lagrange or a discontinuous Lagrange space"
         ) from cause
@@ -39,7 +39,7 @@ def values_of_cells(function: fem.Function, array: Array) -> Array:
         Positions and values, shape (owned cells, nodes per cell, gdim + values per node).
 
     Raises:
-        FormError: The space of the function has no values at nodes.
+        CheckpointError: The space of the function has no values at nodes.
     """
     nodes, x, each = _nodes(function)
     return np.concatenate([x[nodes], array.reshape(-1, each)[nodes]], axis=2)

@@ -81,7 +81,7 @@ def advice_on(problem: QuasiStatic) -> str:
 
 
 def _worst_point(problem: QuasiStatic, operator: Operator, reason: str) -> str:
-    """The point whose law or terms failed, or the most compressed point. Collective."""
+    """The point or node whose terms failed, or the most compressed point. Collective."""
     points = problem.points
     found = None
     if len(points):
@@ -97,7 +97,27 @@ def _worst_point(problem: QuasiStatic, operator: Operator, reason: str) -> str:
         place += f": {failure.cause}" if failure is not None and failure.cause else ""
         found = (failure is None, np.nan_to_num(J[p], nan=-np.inf), place)
     candidates = [c for c in points.comm.allgather(found) if c is not None]
+    if "NAN" in reason and all(no_failure for no_failure, *_ in candidates):
+        nodes = [node for node in points.comm.allgather(_failed_node(operator)) if node]
+        if nodes:
+            return nodes[0]
     return min(candidates)[2] if candidates else "none"
+
+
+def _failed_node(operator: Operator) -> str:
+    """A node whose forces are not finite, in words; an inner one of them. Collective."""
+    forces = operator.forces()
+    moved = all(np.isfinite(u).all() for u in operator.increments)
+    for field, force in zip(operator.here.fields, forces) if moved else ():
+        bad = field.nodes[~np.isfinite(force[field.nodes]).all(axis=1)]
+        if bad.size:
+            x = field.basis.node_coordinates()[bad, : field.space.grid.geometry.dim]
+            apart = np.linalg.norm(x - x.mean(axis=0), axis=1)
+            return (
+                f"the node at {x[np.argmin(apart)]} m, where forces are not finite: look at "
+                "divisions, roots and logarithms in terms over the grid, and at their functions"
+            )
+    return ""
 
 
 def _missing_support(

@@ -278,3 +278,14 @@ def test_a_save_replaces_the_file_and_clears_what_killed_ones_left(saved, tmp_pa
     fresh = block()[0]
     fresh.load(real)
     assert bits(fresh) == bits(other)
+
+
+def test_a_function_without_values_at_nodes_is_refused(tmp_path):
+    grid = mesh.create_unit_square(COMM, 2, 2)
+    points, V = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, 1.0), mpm.Space(grid)
+    edges = fem.Function(fem.functionspace(grid, ("N1curl", 1)))
+    F = mpm.momentum(mpm.materials.Hencky(1e3, 0.3), points, V.increment, V.test)
+    F -= ufl.inner(edges, V.test) * ufl.dx
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    with pytest.raises(CheckpointError, match="has no values at nodes; interpolate it into"):
+        problem.save(tmp_path / "edges.npz")

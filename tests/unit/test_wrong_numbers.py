@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 import warnings
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy import sparse
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import (
+    ConvergenceError,
     DegreesWarning,
     FormError,
     IdleConditionWarning,
@@ -361,3 +363,25 @@ def test_a_prolongation_of_zeros():
     problem = mpm.QuasiStatic(*arguments, prolongation=nothing)
     with pytest.raises(ParameterError, match="zeros for all 25 nodes, which would hold the whole"):
         problem.step()
+
+
+# -- terms that are not finite -------------------------------------------------------
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_a_term_over_the_grid_that_is_not_finite_tells_its_node(linear):
+    points = body()
+    V = mpm.Space(points.grid)
+    u, x = V.increment, ufl.SpatialCoordinate(points.grid)
+    root = ufl.sqrt(1.4 - x[0]) * (1 if linear else 1 + ufl.inner(u, u))
+    F = mpm.momentum(LAW, points, u, V.test) + root * ufl.inner(u, V.test) * ufl.dx
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"), max_halvings=0)
+    with pytest.raises(ConvergenceError) as caught:
+        problem.step()
+    told = re.search(
+        r"the worst is the node at \[([\d.]+) +[\d.]+\] m, where forces", str(caught.value)
+    )
+    assert told is not None
+    # the root is not real in the cells from 1 to 1.5, whose nodes are these
+    assert float(told[1]) in (1.0, 1.5)
+    assert "terms over the grid" in str(caught.value)
