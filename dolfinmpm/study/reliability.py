@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 
 # Least size of a parameter's changes in derivatives, as a share of its value
 _LEAST = 0.01
+# Digits of one-sided differences: no design point is known better
+_DIGITS = 1e-6
 
 
 class LimitState:
@@ -36,6 +38,7 @@ class LimitState:
     Attributes:
         names: Names of the parameters, in their order.
         runs: Number of runs with derivatives, and without.
+        notes: Where the search has stopped short of the design point, in words.
 
     See `limit_state`:
 
@@ -202,6 +205,7 @@ class Reliability:
         importance: Name → share of the variance of the margin, by its gradient in standard normal
             space at the design point; their sum is one.
         runs: Number of runs with derivatives, and without.
+        notes: Where the search has stopped short of the design point, in words.
 
     See `reliability`:
 
@@ -216,6 +220,7 @@ class Reliability:
     normal_design: dict[str, float]
     importance: dict[str, float]
     runs: list[int]
+    notes: list[str] = field(default_factory=list)
     _back: Any = field(default=None, repr=False)
     _limit: Any = field(default=None, repr=False)
 
@@ -283,6 +288,37 @@ def _first_guess(back: Any, normal: Array, limit: str, value: float) -> Any:
     return guess
 
 
+def _shortfalls(u: Array, slope: Array, value: float, limit: str, tolerance: float) -> list[str]:
+    """Which conditions of a design point do not hold, in words.
+
+    Args:
+        u: The point in standard normal space, shape (p,).
+        slope: Gradient of the figure there, shape (p,).
+        value: The figure there.
+        limit: Its name.
+        tolerance: Distance in standard normal space within which the conditions must hold.
+    """
+    size = float(np.linalg.norm(slope))
+    notes = []
+    if abs(value) > tolerance * size:
+        far = f"{abs(value) / size:.2g} standard deviations away" if size else "nowhere near"
+        notes.append(
+            f"limit = '{limit}' is {value:.3g} at the design point, and by its slope zero is {far}"
+        )
+    across = float(np.linalg.norm(u - (u @ slope) * slope / size**2)) if size else 0.0
+    if across > tolerance:
+        notes.append(
+            f"the gradient of '{limit}' is not along the design point, which is {across:.2g} "
+            "standard deviations off its direction"
+        )
+    advice = (
+        f" (tolerance {tolerance:g}): the search has not converged, and beta may be wrong. Give "
+        "more iterations, a limit that crosses zero and has no kinks, or sample it with "
+        "study.monte_carlo"
+    )
+    return [note + advice for note in notes]
+
+
 def reliability(
     scene: Scene,
     distributions: Mapping[str, Any],
@@ -294,7 +330,9 @@ def reliability(
     """Reliability index of an example by FORM. Collective.
 
     OpenTURNS seeks the design point with the algorithm of Abdo and Rackwitz (1991), doi
-    10.1016/0045-7949(91)90318-7. Each iteration takes about one run with derivatives.
+    10.1016/0045-7949(91)90318-7. Each iteration takes about one run with derivatives. It also
+    stops where its steps become short. So `notes` tells where the design point is none: the figure
+    must be zero there, and its gradient parallel to the point in standard normal space.
 
     Args:
         scene: Function of a dictionary of parameters that returns a `Run`.
@@ -374,6 +412,7 @@ def reliability(
     u = np.array(normal)
     # the gradient has the direction of the design point, also where this is the origin
     slope = np.array(back.gradient(normal)) @ g.gradient(design)
+    notes = _shortfalls(u, slope, g(design), limit, max(tolerance, _DIGITS))
     slope = slope if slope.any() else u
     shares = slope**2 / float(slope @ slope)
     side = -1 if result.getIsStandardPointOriginInFailureSpace() else 1
@@ -383,4 +422,4 @@ def reliability(
     )
     probability = float(result.getEventProbability())
     beta = side * float(np.linalg.norm(u))
-    return Reliability(beta, probability, physical, standard, importance, g.runs, back, g)
+    return Reliability(beta, probability, physical, standard, importance, g.runs, notes, back, g)

@@ -58,6 +58,21 @@ def test_the_importance_of_an_even_chance(openturns):
     assert found.runs[0] < 4
 
 
+def test_a_search_that_stops_short_says_so(openturns):
+    """A margin that touches zero has no slope there; one with two ways to fail leads astray."""
+    given = {"a": study.Normal(), "b": study.Normal()}
+    touches = study.reliability(planned(lambda m: (m["a"] - 2.21) ** 4), given)
+    assert touches.beta < 1.9
+    assert len(touches.notes) == 1
+    assert "standard deviations away (tolerance 0.001): the search has not" in touches.notes[0]
+    sand = {"a": study.Normal(10.0, 5.0), "b": study.Normal(9.9, 5.0)}
+    found = study.reliability(planned(lambda m: m["a"] ** 3 + m["b"] ** 3 - 18.0), sand)
+    assert any("off its direction" in note for note in found.notes)
+    straight = study.reliability(planned(lambda m: 2.21 - m["a"]), given)
+    assert straight.beta == pytest.approx(2.21, abs=1e-6)
+    assert straight.notes == []
+
+
 def test_lognormal_strength_over_load(openturns):
     """The logarithm of the ratio of two lognormal parameters is normal."""
     scene = planned(lambda m: math.log(m["strength"] / m["load"]))
