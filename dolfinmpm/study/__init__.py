@@ -12,9 +12,10 @@ from dolfinmpm.study.condition import Conditioning, conditioning
 from dolfinmpm.study.derivatives import Derivatives, differentiate
 from dolfinmpm.study.distributions import LogNormal, Normal
 from dolfinmpm.study.elementtest import element_test
+from dolfinmpm.study.limitstate import LimitState
 from dolfinmpm.study.randomfields import RandomField
 from dolfinmpm.study.reduction import factor_of_safety, reduced_strength
-from dolfinmpm.study.reliability import LimitState, Reliability, limit_state, reliability
+from dolfinmpm.study.reliability import Reliability, reliability
 from dolfinmpm.study.samples import MonteCarlo, monte_carlo
 from dolfinmpm.study.scenerun import Run
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
@@ -44,7 +45,6 @@ __all__ = [
     "draw_sweep",
     "element_test",
     "factor_of_safety",
-    "limit_state",
     "monte_carlo",
     "observed_orders",
     "overall_order",

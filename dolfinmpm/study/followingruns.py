@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_kind, coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, shown
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError, call_together
 from dolfinmpm.body.footing import seats
@@ -18,7 +18,7 @@ from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import Events, Marks, RunState, differences, has_mirror, mirror
-from dolfinmpm.study.scenerun import Run, Scene
+from dolfinmpm.study.scenerun import Scene, built
 from dolfinmpm.study.tape import Reader, Tape, follow
 
 __all__ = ["FollowedRun", "FollowingRuns"]
@@ -52,8 +52,7 @@ class FollowedRun:
         with warnings.catch_warnings():
             if quiet:
                 warnings.simplefilter("ignore", DifferentProblemWarning)
-            run = scene(dict(parameters))
-        check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
+            run = built(scene, dict(parameters))
         self.run, self.problems = run, run.problems
         for problem in self.problems:
             if problem.history and not run.given:

@@ -20,7 +20,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.study.distributions import checked
-from dolfinmpm.study.scenerun import Run, built, last_value
+from dolfinmpm.study.scenerun import Run, built, last_value, take_steps
 
 __all__ = ["MonteCarlo", "last_figures", "monte_carlo"]
 
@@ -76,16 +76,9 @@ def last_figures(
 
 def _figure(scene: AnyScene, arguments: tuple[Any, ...], limit: str, unconverged: str) -> float:
     """The figure of one run after its last step. Collective on the ranks of the run."""
-    run = built(scene, *arguments)
-    if limit not in run.measured:
-        raise ParameterError(
-            f"limit = '{limit}' is no figure of the scene; its figures are "
-            f"{', '.join(run.measured)}"
-        )
+    run = built(scene, *arguments, limit=limit)
     try:
-        for item in run.steps:
-            if callable(item):
-                item()
+        take_steps(run)
     except (ConvergenceError, PointsOutsideGridError):
         if unconverged == "raise":
             raise

@@ -13,7 +13,7 @@ from dolfinmpm._platform.argumentchecks import check_function, check_kind, coord
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.solve.problem import Problem
 
-__all__ = ["Run", "Scene", "built", "last_number", "last_value"]
+__all__ = ["Run", "Scene", "built", "last_number", "last_value", "take_steps"]
 
 Scene = Callable[[dict[str, float]], "Run"]
 
@@ -76,15 +76,32 @@ class Run:
         return list(self.problem) if several else [self.problem]  # type: ignore[list-item]
 
 
-def built(scene: Callable[..., Any], *arguments: Any) -> Run:
+def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) -> Run:
     """The run that a scene makes of its arguments.
 
+    Args:
+        scene: The example.
+        arguments: Its arguments.
+        limit: Name of a figure that it must have.
+
     Raises:
-        ParameterError: The scene returns something else, such as None.
+        ParameterError: The scene returns something else, such as None, or lacks the figure.
     """
     run = scene(*arguments)
     check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
+    if limit is not None and limit not in run.measured:
+        raise ParameterError(
+            f"limit = '{limit}' is no figure of the scene; its figures are "
+            f"{', '.join(run.measured)}"
+        )
     return run
+
+
+def take_steps(run: Run) -> None:
+    """Take all steps of a run. Collective."""
+    for item in run.steps:
+        if callable(item):
+            item()
 
 
 def last_number(name: str, given: Any, m: Mapping[str, float]) -> float:

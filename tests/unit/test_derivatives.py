@@ -270,7 +270,7 @@ def test_perturbations_are_those_that_numbers_have():
     def linear(m):
         return with_figure(m, lambda m: {"margin": lambda m, k: 3e6 - 2.0 * m["a"]}, steps=1)
 
-    g = study.limit_state(linear, "margin", {"a": 1e-6})
+    g = study.LimitState(linear, "margin", {"a": 1e-6})
     np.testing.assert_allclose(g.gradient([1e6]), [-2.0], rtol=1e-6)
 
 

@@ -94,7 +94,7 @@ def test_a_weight_that_may_be_too_large(openturns, tmp_path):
         run.measured = {"margin": lambda: 1.0 + motion()[1] / 1.4e-3}
         return run
 
-    one = study.limit_state(scene, "margin", {"density": 8.0})
+    one = study.LimitState(scene, "margin", {"density": 8.0})
     slope = float(one.gradient([80.0])[0])
     beta = one([80.0]) / (abs(slope) * 8.0)
     found = study.reliability(scene, {"density": study.Normal(80.0, 8.0)})
@@ -157,19 +157,19 @@ def test_a_margin_that_is_no_number_is_not_safe():
     with pytest.raises(ParameterError, match=r"'margin' is nan at {'a': .*}: return a number"):
         study.monte_carlo(scene, {"a": study.Normal()}, runs=2)
     with pytest.raises(ParameterError, match="'margin' is nan"):
-        study.limit_state(scene, "margin", {"a": 1.0})([0.0])
+        study.LimitState(scene, "margin", {"a": 1.0})([0.0])
 
 
 def test_a_gradient_lets_no_nan_through():
-    g = study.limit_state(planned(lambda m: math.nan), "margin", {"a": 1.0})
+    g = study.LimitState(planned(lambda m: math.nan), "margin", {"a": 1.0})
     for call in (g.gradient, g):
         with pytest.raises(ParameterError, match=r"'margin' is nan at {'a': 0.0}: return a number"):
             call([0.0])
     root = planned(lambda m: math.sqrt(1.0 - m["a"]) if m["a"] <= 1.0 else math.nan)
     with pytest.raises(ParameterError, match="derivative of the figure 'margin' by a is nan at"):
-        study.limit_state(root, "margin", {"a": 1.0}).gradient([1.0])
+        study.LimitState(root, "margin", {"a": 1.0}).gradient([1.0])
     with pytest.raises(ParameterError, match="a = nan must be finite"):
-        study.limit_state(root, "margin", {"a": 1.0})([math.nan])
+        study.LimitState(root, "margin", {"a": 1.0})([math.nan])
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def test_a_gradient_lets_no_nan_through():
     ],
 )
 def test_scenes_without_a_margin(scene, message):
-    g = study.limit_state(scene, "margin", {"a": 1.0})
+    g = study.LimitState(scene, "margin", {"a": 1.0})
     for call in (
         lambda: g([0.0]),
         lambda: g.gradient([0.0]),
@@ -208,14 +208,14 @@ def test_a_reliability_without_a_margin(openturns):
 )
 def test_bad_sizes(sizes, message):
     with pytest.raises(ParameterError, match=message):
-        study.limit_state(planned(lambda m: 1.0), "margin", sizes)
+        study.LimitState(planned(lambda m: 1.0), "margin", sizes)
 
 
 def test_what_is_missing_or_wrong(monkeypatch):
     with pytest.raises(ParameterError, match="limit = 'safety' is no figure of the scene"):
-        study.limit_state(planned(lambda m: 1.0), "safety", {"a": 1.0})([1.0])
+        study.LimitState(planned(lambda m: 1.0), "safety", {"a": 1.0})([1.0])
     with pytest.raises(ParameterError, match="one number for each of a"):
-        study.limit_state(planned(lambda m: 1.0), "margin", {"a": 1.0})([1.0, 2.0])
+        study.LimitState(planned(lambda m: 1.0), "margin", {"a": 1.0})([1.0, 2.0])
     monkeypatch.setitem(sys.modules, "openturns", None)
     with pytest.raises(MissingPackageError, match="pip install openturns"):
         study.reliability(planned(lambda m: 1.0), {"a": study.Normal()})
