@@ -19,7 +19,7 @@ from dolfinmpm._platform.errors import ParameterError
 
 __all__ = [
     "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates",
-    "file_path", "number", "refuse_idle", "shown", "truth", "whole",
+    "file_path", "floats", "number", "refuse_idle", "shown", "truth", "whole",
 ]  # fmt: skip
 
 Tags = tuple[int, ...] | None
@@ -192,6 +192,18 @@ def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
         raise ParameterError(
             f"{what} = {shown(given)} must be numbers, such as (0.0, 1.0)"
         ) from None
+
+
+def floats(given: Any) -> npt.NDArray[np.float64] | None:
+    """Numbers as an array of any shape, or None if they are none; the caller raises.
+
+    Args:
+        given: The numbers.
+    """
+    try:
+        return np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        return None
 
 
 def truth(what: str, value: Any, *words: str) -> bool:

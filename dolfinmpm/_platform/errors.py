@@ -11,7 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -48,6 +48,7 @@ __all__ = [
     "UnstablePairWarning",
     "UnsupportedGridError",
     "UserLawError",
+    "call_on_root",
     "call_together",
     "common_text",
     "raise_together",
@@ -233,6 +234,17 @@ def call_together(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
         error = caught
     raise_together(comm, error)
     return result  # type: ignore[return-value]
+
+
+def call_on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
+    """Call a function on rank 0 alone; all ranks get its result, or raise its error. Collective.
+
+    Args:
+        comm: The ranks.
+        function: The function.
+    """
+    action: Callable[[], Any] = function if comm.rank == 0 else lambda: None
+    return comm.bcast(call_together(comm, action))
 
 
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:

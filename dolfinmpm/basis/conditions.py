@@ -13,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import at_time, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import at_time, floats, number, shown, truth, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     ParameterError,
@@ -292,11 +292,8 @@ def _checked(space: Space, nodes, what: str, value: Any) -> Any:
 
 
 def _one_per_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
-    try:
-        given = np.asarray(value, float)
-    except (TypeError, ValueError):
-        given = np.empty((0, 0))
-    if given.shape != (size,):
+    given = floats(value)
+    if given is None or given.shape != (size,):
         raise ParameterError(
             f"{what} is {shown(value)} and must be one number, or one for each of {size} nodes on "
             "this rank; give each component its own condition"

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_kind, number, shown, whole
+from dolfinmpm._platform.argumentchecks import check_kind, floats, number, shown, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
@@ -191,12 +191,11 @@ def _lines(lines: Any) -> list[Array]:
         raise ParameterError(f"lines = {shown(lines)} must be two or three arrays of coordinates")
     made = []
     for d, line in enumerate(lines):
-        try:
-            values = np.asarray(line, float)
-        except (TypeError, ValueError):
-            values = np.empty(0)
-        good = values.ndim == 1 and values.size > 1 and np.isfinite(values).all()
-        if not good or not (np.diff(values) > 0).all():
+        values = floats(line)
+        good = values is not None and values.ndim == 1 and values.size > 1
+        if values is None or not (
+            good and np.isfinite(values).all() and (np.diff(values) > 0).all()
+        ):
             raise ParameterError(
                 f"lines[{d}] = {shown(line)} must be two or more increasing coordinates (m)"
             )

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import floats, shown
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 __all__ = ["call_function", "choose"]
@@ -63,10 +63,7 @@ def call_function(
     if n == 0:
         return np.empty((0, *shape))
     answer = _call(what, function, x)
-    try:
-        values = np.asarray(answer, float)
-    except (TypeError, ValueError):
-        values = None
+    values = floats(answer)
     if values is None or values.shape not in (shape, (n, *shape)):
         got = shown(answer) if values is None else f"shape {values.shape}"
         raise ParameterError(

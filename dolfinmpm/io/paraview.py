@@ -13,7 +13,7 @@ from dolfinx import fem
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.argumentchecks import file_path, number, shown, truth
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.errors import ParameterError, call_on_root, call_together
 from dolfinmpm.basis.refinement import leaves_on, refinements_on
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
@@ -309,7 +309,7 @@ class ParaView:
             except OSError as cause:
                 raise OSError(f"cannot write the series {self.path}: {cause}") from cause
 
-        call_together(self.comm, act if self.comm.rank == 0 else lambda: None)
+        call_on_root(self.comm, act)
 
 
 def _words(what: str, given: Any) -> list[str] | None:

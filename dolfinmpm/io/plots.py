@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, floats, number, shown, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together
@@ -182,11 +182,12 @@ def check_colour(points, colour, component, cut, view, derived) -> None:
     if isinstance(view, str):
         choice("view", view, ("grid", "points"))
         return
-    try:
-        box = np.array(view, float)
-    except (TypeError, ValueError):
-        box = np.empty(0)
-    if box.shape != (axes, 2) or not np.isfinite(box).all() or np.any(box[:, 0] >= box[:, 1]):
+    box = floats(view)
+    if (
+        box is None
+        or box.shape != (axes, 2)
+        or not (np.isfinite(box).all() and (box[:, 0] < box[:, 1]).all())
+    ):
         raise ParameterError(
             f'view = {shown(view)} must be "grid", "points" or {axes} rising ranges (m)'
         )

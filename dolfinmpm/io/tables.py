@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.errors import ParameterError, call_on_root, call_together
 
 __all__ = [
     "check_suffix",
@@ -70,7 +70,7 @@ def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COM
             table.writerow(names)
             table.writerows([_cell(row.get(name)) for name in names] for row in rows)
 
-    call_together(comm, write if comm.rank == 0 else _nothing)
+    call_on_root(comm, write)
 
 
 @collective
@@ -107,7 +107,7 @@ def read_table(path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[
         with path.open(newline="", encoding="utf-8") as file:
             return [{k: _value(v) for k, v in row.items()} for row in csv.DictReader(file)]
 
-    return comm.bcast(call_together(comm, read if comm.rank == 0 else _nothing))
+    return call_on_root(comm, read)
 
 
 def rows_of(given: Any, *names: str) -> list[Row]:
@@ -133,10 +133,6 @@ def rows_of(given: Any, *names: str) -> list[Row]:
                 f"no row has a figure '{name}'; there are {', '.join(map(str, there)) or 'no rows'}"
             )
     return rows
-
-
-def _nothing() -> Any:
-    return None
 
 
 def check_suffix(path: Path) -> None:

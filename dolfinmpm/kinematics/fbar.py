@@ -10,7 +10,7 @@ over splines of one degree less, see `dolfinmpm.cut.cellaverages`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numba
 import numpy as np
@@ -19,13 +19,15 @@ import numpy.typing as npt
 from dolfinmpm.basis.cells import invert
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.operators import KeepingLaw, KeptTangents, if_kept
+from dolfinmpm.grid.tensors import determinants
 from dolfinmpm.kinematics.meanvolumechecks import (
     refuse_dilation,
     refuse_simplices,
     warn_of_compaction,
 )
+from dolfinmpm.kinematics.strainformulation import StrainFormulation
 
-__all__ = ["OWN_SHARE", "VOLUMES", "FBar", "GradientLaw", "share_volumes"]
+__all__ = ["OWN_SHARE", "VOLUMES", "FBar", "share_volumes"]
 
 Array = npt.NDArray[np.float64]
 
@@ -45,46 +47,6 @@ def share_volumes(F: Array, J: Array, J_bar: Array, rows) -> None:
     ratio = J_bar[rows] / J[rows]
     F[rows] *= (ratio ** (1.0 / F.shape[1]))[:, None, None]
     J[rows] = J_bar[rows]
-
-
-class GradientLaw(Protocol):
-    """A `PointwiseLaw` of the increment's gradient H that F-bar can wrap.
-
-    It can be a `KeepingLaw` too.
-
-    Attributes:
-        law: The constitutive law.
-        multiplicative: True if the strain comes from ΔF = I + H and the flux is τ ΔF⁻ᵀ.
-            False if the strain is additive in sym H.
-    """
-
-    law: Any
-    multiplicative: bool
-
-    def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows) -> int:
-        """See `PointwiseLaw`."""
-
-    def commit(self, operand: Array, rows) -> dict[str, Array]:
-        """See `PointwiseLaw`."""
-
-    def describe(self, operand: Array, row: int) -> str:
-        """Description of a point at which the law found no stress, for messages."""
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _measure(H, d, multiplicative, out):
-    """Volume change at the points: ΔJ = det(I + H) if multiplicative, else tr H."""
-    dF, inverse = np.empty((d, d)), np.empty((d, d))
-    for p in range(H.shape[0]):
-        if multiplicative:
-            for i in range(d):
-                for j in range(d):
-                    dF[i, j] = H[p, i * d + j] + (1.0 if i == j else 0.0)
-            out[p] = invert(dF, inverse)
-        else:
-            out[p] = 0.0
-            for i in range(d):
-                out[p] += H[p, i * d + i]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -180,49 +142,21 @@ class FBar:
     Let ΔF = I + H and ΔJ = det ΔF. ΔJ̄ is the mean of ΔJ over the cells of the point, or over
     splines of one degree less (see `CellAverages`), with the volumes at the start of the step as
     weights. The strain formulation gets ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), with the dimension d (2 in
-    plane strain, else 3), and returns the flux S̄ = τ ΔF̄⁻ᵀ. F-bar returns the flux
-    S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ, which is integrated over the true volume with true spatial
-    gradients. The Cauchy stress belongs to F̄, σ = τ/J̄. The factor J/J̄ follows de Souza Neto et
-    al., who integrate σ(F̄) over the true volume.
+    plane strain, else 3), and returns the flux S̄ = τ ΔF̄⁻ᵀ. F-bar returns S = (J/J̄) r S̄. The
+    Cauchy stress is σ = τ/J̄, with the product J̄ of the means of all steps, the field `J_bar`.
+    If strain is additive, the strain formulation gets H + (mean(tr H) − tr H)/d I, and the flux is
+    unchanged.
 
-    If strain is additive, the strain formulation gets H + (mean(tr H) − tr H)/d I, and F-bar
-    returns the flux unchanged.
+    With fbar="volumes", points keep the mean: after a step F is scaled to det F = J̄, and V = J̄ V₀.
+    The mean alone controls no single point, so that J drifts in long flow. Hourglass modes need a
+    share α of the point's own change (see Moutsanidis and others 2020, Comput. Part. Mech. 7:309).
+    It locks where α K is large beside the shear modulus, with ν > 0.49.
 
-    Binding adds the field `J_bar` to the points if strain is multiplicative. It is the product J̄
-    of the means ΔJ̄ of all steps. The fields F, V and x of the points stay the true ones.
-
-    With fbar="volumes", they stay the true ones in a step only: after it, F is scaled to det F = J̄,
-    and V = J̄ V₀. The mean alone controls no single point, so J can drift in long flow: beside a
-    cone that penetrates incompressible clay by eight radii, it ends between 0.13 and 2.3, and J̄
-    within 1 ± 0.04. Points that shrink so much leave material without stiffness. Points with
-    volumes of the mean can still deform in waves of one point (hourglass modes), which a yielding
-    material hardly resists. Hence ΔJ̄ gets a share α = 0.03 of the point's own change (see
-    Moutsanidis and others 2020, Comput. Part. Mech. 7:309, on such mixtures in particle methods).
-    It locks where α K is large beside G, with ν > 0.49. At a cone in clay with ν = 0.49, in cells
-    of a quarter of its radius, α = 0.005 finds 2 % less resistance. But a smaller share fails in
-    finer cells: steps are halved, and the resistance falls again.
-
-    A law with a dilation angle is refused when a problem is made. Let x and t be the rates of
-    shear and of volume at a yielding point, t̄ the shared rate of volume, and η and η̄ the slopes
-    of the yield surface and of the flow. The rate of stress is proportional to η̄ x − t̄. Its power
-    with the true gradients is proportional to (η x − t)(η̄ x − t̄). Hence the shear of each point
-    must fit the shared rate of volume. These are as many constraints as without F-bar (de Borst &
-    Groen 1995, Int. J. Numer. Methods Eng. 38:2887, on elements in dilatant flow). If x or t vary
-    within a cell, the power can be negative even for associated flow, η = η̄. Without F-bar the
-    power of associated flow is a square. Under a footing with φ = ψ = 20°, an eigenvalue of the
-    tangent goes through zero at 80 % of the limit load, and no step is small enough. With ψ = 5°
-    the load falls to 60 % of its peak. Laws that dilate without a parameter of this name are not
-    recognised.
-
-    Cubic splines with a law that has a normal compression line give a warning. Cubic splines can
-    change the volume almost without shear, in waves of two cells, like the gradient of a harmonic
-    function. The mean keeps 2/15 of such a wave; for quadratic splines it keeps 1/3. Ground on the
-    normal compression line resists the mean only with about p/λ, with the pressure p. This
-    resistance is smaller than terms of order p: the rotation of the stress, and the shear of the
-    plastic flow. A block of Cam-Clay (λ = 0.05 ... 0.25) under uniform dead pressure fails soon
-    after it yields, first at a free corner, with 2² and 4² points and with smaller steps. It does
-    not fail without F-bar or with λ = 0.03. A mean with half of a point's own change would not
-    fail, but would lock.
+    A law with a dilation angle is refused: the power of the stress on the true strain could be
+    negative, also for associated flow (de Borst & Groen 1995, Int. J. Numer. Methods Eng.
+    38:2887). Laws that dilate without a parameter of this name are not recognised. Cubic splines
+    with a law that has a normal compression line give a warning: the mean hides changes of volume
+    that alternate from cell to cell.
 
     Args:
         formulation: The strain formulation with its law, which gives the stress.
@@ -236,7 +170,7 @@ class FBar:
 
     def __init__(
         self,
-        formulation: GradientLaw,
+        formulation: StrainFormulation,
         points: MaterialPoints,
         degree: int = 1,
         by_centres: bool = False,
@@ -265,9 +199,8 @@ class FBar:
         Warns:
             SoftVolumeWarning: Cubic splines meet a law of plastic compaction.
         """
-        rows = getattr(self.formulation, "rows", np.empty(0, np.int32))
         refuse_simplices(self.points)
-        refuse_dilation(self.formulation, rows, self.points.comm)
+        refuse_dilation(self.formulation, self.points.comm)
         if not self._bound:
             warn_of_compaction(self.formulation, self.points, self._degree)
         self._bound = True
@@ -287,18 +220,26 @@ class FBar:
 
     def describe(self, operand: Array, row: int) -> str:
         """Text for a point without a stress; see `StrainFormulation.describe`."""
-        changed = np.empty((1, operand.size))
-        one, d = slice(row, row + 1), self.points.strain_dim
-        flat = np.ascontiguousarray(operand, float).reshape(1, -1)
-        bad = _replace_volume(
-            flat, self._measure[one], self._mean[one], d, self._multiplicative, changed
-        )
+        d, flat = self.points.strain_dim, np.ascontiguousarray(operand, float).reshape(1, -1)
+        changed, bad = self._replaced(flat, slice(row, row + 1))
         return self.formulation.describe((flat if bad >= 0 else changed).reshape(d, d), row)
 
     def _measured(self, operand: Array) -> Array:
-        out = np.empty(len(operand))
-        _measure(operand, self.points.strain_dim, self._multiplicative, out)
-        return out
+        """Volume change of increments: ΔJ = det(I + H) if multiplicative, else tr H."""
+        d = self.points.strain_dim
+        H = operand.reshape(len(operand), d, d)
+        if self._multiplicative:
+            return determinants(H + np.eye(d))
+        return np.asarray(np.trace(H, axis1=1, axis2=2), np.float64)
+
+    def _replaced(self, operand: Array, rows) -> tuple[Array, int]:
+        """H̄ of some points, and the first of them that has none, or -1."""
+        changed = np.empty_like(operand)
+        bad = _replace_volume(
+            operand, self._measure[rows], self._mean[rows], self.points.strain_dim,
+            self._multiplicative, changed,
+        )  # fmt: skip
+        return changed, bad
 
     def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:
         """Compute the means of ΔJ, or of tr H, for new increments. Collective.
@@ -333,9 +274,7 @@ class FBar:
         """J/J̄ at the start of the step."""
         points, d = self.points, self.points.strain_dim
         F = points["F"][rows].reshape(-1, d * d)
-        J = np.empty(len(F))
-        _measure(F - np.eye(d).ravel(), d, True, J)
-        return J / points["J_bar"][rows]
+        return self._measured(F - np.eye(d).ravel()) / points["J_bar"][rows]
 
     def evaluate(
         self, operand: Array, value: Array, tangent: Array | None, rows,
@@ -344,8 +283,7 @@ class FBar:
         """Flux S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`, `KeepingLaw`."""
         d, kind = self.points.strain_dim, self._multiplicative
         measure, mean = self._measure[rows], self._mean[rows]
-        changed = np.empty_like(operand)
-        bad = _replace_volume(operand, measure, mean, d, kind, changed)
+        changed, bad = self._replaced(operand, rows)
         if bad < 0:
             bad = self.formulation.evaluate(changed, value, tangent, rows, **if_kept(kept))
         if bad >= 0:
@@ -367,11 +305,7 @@ class FBar:
     def commit(self, operand: Array, rows, kept: KeptTangents | None = None) -> dict[str, Array]:
         """Fields of the strain formulation at the end of the step, with σ = τ/J̄; and J̄."""
         points = self.points
-        changed = np.empty_like(operand)
-        _replace_volume(
-            operand, self._measure[rows], self._mean[rows], points.strain_dim, self._multiplicative,
-            changed,
-        )  # fmt: skip
+        changed, _ = self._replaced(operand, rows)
         new = self.formulation.commit(changed, rows, **if_kept(kept))
         if self._multiplicative:
             # the strain formulation divided τ by det ΔF̄ times the true det F before the step

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import coordinates, floats, number, shown
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
@@ -37,10 +37,7 @@ _MOST_K0 = 100.0
 
 def _array(stress: npt.ArrayLike, n: int) -> Array:
     """A stress for all n points of this rank, shape (3, 3), or one per point, shape (n, 3, 3)."""
-    try:
-        given = np.asarray(stress, float)
-    except (TypeError, ValueError):
-        given = None
+    given = floats(stress)
     if given is None or given.shape not in ((3, 3), (n, 3, 3)):
         got = f"= {shown(stress)}" if given is None else f"has the shape {given.shape}"
         raise FieldShapeError(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from dolfinx.mesh import CellType
 
 from dolfinmpm._platform.errors import ParameterError, SoftVolumeWarning, raise_together, warn
@@ -25,13 +23,13 @@ def refuse_simplices(points: MaterialPoints) -> None:
         )
 
 
-def refuse_dilation(formulation: Any, rows: npt.NDArray[np.int32], comm) -> None:
+def refuse_dilation(formulation: Any, comm) -> None:
     """Raise ParameterError if the law has a dilation angle that is not 0. Collective."""
     names = list(getattr(formulation.law, "parameters", ()))
     name = next((name for name in names if name.startswith("dilation")), None)
     if name is None:
         return
-    angle = formulation.parameters(rows)[:, names.index(name)]
+    angle = formulation.parameters(formulation.rows)[:, names.index(name)]
     error = None
     if angle.max(initial=0.0) > 0.0:
         error = ParameterError(

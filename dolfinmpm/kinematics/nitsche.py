@@ -32,7 +32,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, choice, floats, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
@@ -272,12 +272,9 @@ def _axis(boundary: Boundary, direction: Any) -> Expr:
         choice("direction", direction, ("normal",))
         return boundary.normal
     d = boundary.points.gdim
-    try:
-        given = np.asarray(direction, float)
-    except (TypeError, ValueError):
-        given = np.empty(0)
-    size = float(np.linalg.norm(given)) if given.shape == (d,) else 0.0
-    if not (np.isfinite(size) and size > 0):
+    given = floats(direction)
+    size = 0.0 if given is None or given.shape != (d,) else float(np.linalg.norm(given))
+    if given is None or not 0 < size < np.inf:
         raise ParameterError(
             f'direction = {shown(direction)} must be None, "normal" or a vector of {d} components'
         )
@@ -303,12 +300,9 @@ def _value(boundary: Boundary, value: Any, shape: tuple[int, ...], name: str) ->
         return value
     if callable(value):
         return boundary.markers.add_field(name, shape, "m", value)
-    try:
-        given = np.full(99, np.nan) if isinstance(value, str) else np.asarray(value, float)
-    except (TypeError, ValueError):
-        given = np.full(99, np.nan)
-    if given.shape == () and given == 0:
+    given = None if isinstance(value, str) else floats(value)
+    if given is not None and given.shape == () and given == 0:
         given = np.zeros(shape)
-    if given.shape != shape or not np.isfinite(given).all():
+    if given is None or given.shape != shape or not np.isfinite(given).all():
         raise ParameterError(f"value = {shown(value)} must be {what} (m), finite")
     return own_constant(boundary.points.grid, given)

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
 from dolfinmpm._platform.errors import ParameterError, StateError
+from dolfinmpm._platform.units import warn_of_radians
 from dolfinmpm.materials.lawkernel import Kernel, respond_at_points
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
 
@@ -73,6 +74,7 @@ class Law(Parametrised):
     friction_angles: tuple[str, ...] = ()
     internal: dict[str, tuple[str, float | str]] = {}
     derived: tuple[str, ...] = ()
+    _told_of_radians = False
     kernel: Kernel
 
     def _bound_softening(self, what: str, fall: Array, limit: Array, symbol: str = "") -> None:
@@ -108,6 +110,20 @@ class Law(Parametrised):
             raise ParameterError(
                 f"{name}: rate = 0 never leads to {lasts}; such values need a positive rate"
             )
+
+    def _warn_of_radians(self, values: dict[str, Array]) -> None:
+        """Warn on rank 0, once per law, if an angle is so small that it may be in radians.
+
+        For an angle that varies over the points the largest value counts.
+
+        Args:
+            values: Parameter → values. Parameters with a name that ends in "angle" are in degrees.
+        """
+        self._told_of_radians = self._told_of_radians or any(
+            warn_of_radians(f"{type(self).__name__}: {name}", float(values[name].max(initial=0.0)))
+            for name in self.parameters
+            if name.endswith("angle")
+        )
 
     def _refuse_rate(self, rate: Any, lasts: str, usual: float = 0.0) -> None:
         """Raise ParameterError if a rate is given without the last values."""
@@ -323,15 +339,12 @@ def _principal(strain: Any) -> Array:
     Raises:
         ParameterError: Strains are not three numbers per point.
     """
-    try:
-        found = np.array(strain, float, order="C")
-    except (TypeError, ValueError):
-        found = np.empty(0)
-    if found.shape[-1:] != (3,):
+    found = floats(strain)
+    if found is None or found.shape[-1:] != (3,):
         raise ParameterError(
             f"strain = {shown(strain)} must be three principal strains at each point, shape (n, 3)"
         )
-    return found.reshape(-1, 3)
+    return np.array(found, order="C").reshape(-1, 3)
 
 
 def lame(E: Any, nu: Any) -> tuple[Any, Any]:

@@ -8,7 +8,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.parametrised import Parameter, Value
 from dolfinmpm.materials.pressureelasticity import (
@@ -293,22 +292,9 @@ class CamClay(PressureElastic):
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where parameters contradict each other."""
-        swelling, compression = values["swelling"], values["compression"]
-        stiff = values["mu0"] + values["alpha"]
-        first = values["reference_pressure"] * np.exp(values["reference_strain"] / swelling)
-        pc = values["preconsolidation"]
-        for bad, left, right, rule in (
-            (compression <= swelling, "compression", "swelling", "be larger than"),
-            (stiff <= 0.0, "mu0", "alpha", "not be 0 together with"),
-            (first > pc * (1.0 + 1e-12), "preconsolidation", "the first pressure", "be at least"),
-        ):
-            if bad.any():
-                at = int(np.argmax(bad))
-                known = values | {"the first pressure": first}
-                raise ParameterError(
-                    f"CamClay: {left} = {known[left][at]:g} must {rule} "
-                    f"{right} = {known[right][at]:g}"
-                )
+        flat = values["compression"] <= values["swelling"]
+        rules = [(flat, "compression", "swelling", "be larger than")]
+        self._check_start(values, "preconsolidation", values["preconsolidation"], rules)
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """f = (q/M)² + p (p − pc) (Pa²), shape (n,); see `Law.yield_function`."""

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import choice
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.angles import warn_of_radians
 from dolfinmpm.materials.base import ELASTIC, Law
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.parametrised import Parameter, Value
@@ -198,7 +197,7 @@ class DruckerPrager(Law):
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where dilation is larger than friction."""
-        warn_of_radians(self, values)
+        self._warn_of_radians(values)
         friction, dilation = values["friction_angle"], values["dilation_angle"]
         if ((values["cohesion"] == 0.0) & (friction == 0.0)).any():
             raise ParameterError("DruckerPrager: without friction the cohesion must be positive")

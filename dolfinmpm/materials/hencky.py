@@ -5,21 +5,15 @@ from __future__ import annotations
 from dolfinmpm.materials.base import ELASTIC, Law
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.parametrised import Value
+from dolfinmpm.materials.principal import elastic, moduli
 
 __all__ = ["Hencky"]
 
 
 @law_kernel
 def _hencky(parameters, strain, old, new, stress, tangent):
-    E, nu = parameters[0], parameters[1]
-    mu = 0.5 * E / (1.0 + nu)
-    lmbda = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
-    pressure = lmbda * (strain[0] + strain[1] + strain[2])
-    for i in range(3):
-        stress[i] = pressure + 2.0 * mu * strain[i]
-        for j in range(3):
-            tangent[3 * i + j] = lmbda
-        tangent[4 * i] += 2.0 * mu
+    lmbda, mu = moduli(parameters[0], parameters[1])
+    elastic(lmbda, mu, strain[0] + strain[1] + strain[2], strain, stress, tangent)
     return 0
 
 

@@ -8,7 +8,6 @@ import numba
 import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.angles import warn_of_radians
 from dolfinmpm.materials.base import ELASTIC, Law
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.parametrised import Array, Parameter, Value
@@ -312,7 +311,7 @@ class MohrCoulomb(Law):
         name = type(self).__name__
         c, phi, psi = values["cohesion"], values["friction_angle"], values["dilation_angle"]
         last_c, last_phi = values["residual_cohesion"], values["residual_friction_angle"]
-        warn_of_radians(self, values)
+        self._warn_of_radians(values)
         smaller = np.minimum(phi, last_phi)
         if (psi > smaller).any():
             worst = np.argmax(psi - smaller)

@@ -8,7 +8,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.lodeangle import lode_ratio, lode_ratios, lode_slopes
 from dolfinmpm.materials.parametrised import Parameter, Value
@@ -357,21 +356,8 @@ class NorSand(PressureElastic):
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where parameters contradict each other."""
         tip = _tip(values["N"]) * values["image_pressure"]
-        first = values["reference_pressure"]
-        first = first * np.exp(values["reference_strain"] / values["swelling"])
-        for bad, left, right, rule in (
-            (values["mu0"] + values["alpha"] <= 0.0, "mu0", "alpha", "not be 0 together with"),
-            (first > tip * (1.0 + 1e-12), "the tip", "the first pressure", "be at least"),
-        ):
-            if bad.any():
-                at = int(np.argmax(bad))
-                known = values | {"the first pressure": first, "the tip": tip}
-                raise ParameterError(
-                    f"NorSand: {left} = {known[left][at]:g} must {rule} "
-                    f"{right} = {known[right][at]:g}"
-                    + "; give a larger image_pressure"
-                    * (left == "the tip")
-                )
+        advice = "; give a larger image_pressure"
+        self._check_start(values, "the tip", tip, advice=advice)
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """f = q − η p (Pa), shape (n,); see `Law.yield_function`."""

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.parametrised import Array, Parameter
 
 __all__ = ["PRESSURE_ELASTIC", "PressureElastic", "elastic_tangent", "meridian_tangent"]
+
+# Where a rule is broken, the names of two values, and the rule between them
+Rule = tuple[npt.NDArray[np.bool_], str, str, str]
 
 PRESSURE_ELASTIC = {
     "swelling": Parameter("", low=0.0),
@@ -69,6 +75,36 @@ class PressureElastic(Law):
     The laws have the parameters `PRESSURE_ELASTIC` among theirs, and a size of the yield surface
     (Pa) as the first internal variable.
     """
+
+    def _check_start(
+        self, values: dict[str, Array], what: str, largest: Array, rules: Sequence[Rule] = (),
+        advice: str = "",
+    ) -> None:  # fmt: skip
+        """Raise ParameterError where the first state is beyond the yield surface, or stiffness 0.
+
+        Args:
+            values: Name → values of the parameters.
+            what: Name of the largest pressure on the yield surface.
+            largest: This pressure (Pa).
+            rules: Further rules, which come first: where each is broken, two names, and the rule.
+            advice: What to do about a first state beyond the yield surface, after a semicolon.
+        """
+        first = values["reference_pressure"] * np.exp(
+            values["reference_strain"] / values["swelling"]
+        )
+        known = values | {"the first pressure": first, what: largest}
+        beyond = first > largest * (1.0 + 1e-12)
+        for bad, left, right, rule in (
+            *rules,
+            (values["mu0"] + values["alpha"] <= 0.0, "mu0", "alpha", "not be 0 together with"),
+            (beyond, what, "the first pressure", "be at least"),
+        ):
+            if bad.any():
+                at = int(np.argmax(bad))
+                raise ParameterError(
+                    f"{type(self).__name__}: {left} = {known[left][at]:g} must {rule} "
+                    f"{right} = {known[right][at]:g}{advice if left == what else ''}"
+                )
 
     def energy(self, strain: Array, parameters: Array) -> Array:
         """Ψ = |p0| κ̂ e^Ω + 3/2 (μ0 + α |p0| e^Ω) ε_s² (J/m³); see `Law.energy`."""

@@ -43,7 +43,7 @@ def call_at_points(address, properties, numbers, name, work, status):
     Args:
         address: Address of `dolfinmpm_umat`.
         properties: Material properties, shape (properties,).
-        numbers: Sizes, see `INTEGERS`; shape (6,).
+        numbers: NDI, NSHR, NTENS, NSTATV, NPROPS and NOEL, shape (6,).
         name: CMNAME, 80 bytes.
         work: Data of the points, shape (n, columns); read and written.
         status: Written: 0 or the number of a failure, shape (n,).

@@ -24,7 +24,8 @@ from dolfinmpm._platform.errors import (
     MissingPackageError,
     ParameterError,
     UserLawError,
-    raise_together,
+    call_on_root,
+    call_together,
 )
 from dolfinmpm.materials.umatshim import INCLUDE, SHIM
 
@@ -67,23 +68,18 @@ def open_umat(path: Any, flags: Sequence[str]) -> UmatLibrary:
         MissingPackageError: There is no compiler.
         UserLawError: The compiler refuses the source, or the symbol `umat_` is missing.
     """
-    comm, found, error = MPI.COMM_WORLD, None, None
-    if comm.rank == 0:
+    found = call_on_root(MPI.COMM_WORLD, lambda: _built(_checked(path), tuple(flags)))
+
+    def load() -> UmatLibrary:
         try:
-            found = _built(_checked(path), tuple(flags))
-        except Exception as caught:
-            error = caught
-    raise_together(comm, error)
-    found = comm.bcast(found)
-    assert found is not None
-    try:
-        library = ctypes.CDLL(str(found), mode=_MODE)
+            library = ctypes.CDLL(str(found), mode=_MODE)
+        except OSError as caught:
+            raise UserLawError(f"the UMAT {path} cannot be loaded: {caught}") from caught
         address = ctypes.cast(library.dolfinmpm_umat, ctypes.c_void_p).value
-    except OSError as caught:
-        error = UserLawError(f"the UMAT {path} cannot be loaded: {caught}")
-    raise_together(comm, error)
-    assert address is not None
-    return UmatLibrary(found, address, library)
+        assert address is not None
+        return UmatLibrary(found, address, library)
+
+    return call_together(MPI.COMM_WORLD, load)
 
 
 def _checked(path: Any) -> Path:

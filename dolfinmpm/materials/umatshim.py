@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 
-__all__ = ["INCLUDE", "INTEGERS", "OFFSETS", "SHIM"]
+__all__ = ["INCLUDE", "OFFSETS", "SHIM"]
 
 # Positions in the array of doubles of a point; the state variables come last.
 _SIZES = {
@@ -21,8 +21,6 @@ _SIZES = {
 }  # fmt: skip
 _ENDS = itertools.accumulate(_SIZES.values(), initial=0)
 OFFSETS = dict(zip([*_SIZES, "statev"], _ENDS))
-# Positions in the array of integers.
-INTEGERS = {name: k for k, name in enumerate(("ndi", "nshr", "ntens", "nstatv", "nprops", "noel"))}
 
 INCLUDE = """\
       IMPLICIT REAL*8 (A-H, O-Z)

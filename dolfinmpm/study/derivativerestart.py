@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import file_path, whole
-from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_together
+from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_on_root
 from dolfinmpm.io.vtkfiles import replace_file
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
@@ -58,11 +58,7 @@ class Savepoints:
         self._base, self._sets = base, sets
         # as JSON gives it back
         self._made_by = json.loads(json.dumps(made_by))
-        self._on_root(lambda: self._folder.mkdir(parents=True, exist_ok=True))
-
-    def _on_root(self, action: Callable[[], Any]) -> Any:
-        comm = self._base.comm
-        return comm.bcast(call_together(comm, action if comm.rank == 0 else lambda: None))
+        call_on_root(base.comm, lambda: self._folder.mkdir(parents=True, exist_ok=True))
 
     def _largest(self, value: float) -> float:
         return float(self._base.comm.allreduce(value, op=MPI.MAX))
@@ -108,7 +104,7 @@ class Savepoints:
             for old in set(self._folder.glob("step*_run*_problem*.npz")) - {p for _, p in archives}:
                 old.unlink()
 
-        self._on_root(replace)
+        call_on_root(self._base.comm, replace)
 
     def read(self) -> tuple[Any, Any] | None:
         """Set all runs to the last set, and return its figures and derivatives. Collective.
@@ -120,7 +116,7 @@ class Savepoints:
             CheckpointError: A file is damaged.
             ParameterError: The set belongs to other parameters, perturbations or more steps.
         """
-        index = self._on_root(self._index)
+        index = call_on_root(self._base.comm, self._index)
         if index is None:
             return None
         for what, mine in self._made_by.items():

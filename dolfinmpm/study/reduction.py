@@ -84,6 +84,11 @@ def factor_of_safety(
     to 10, the slope of Griffiths and Lane has factors of 1.40 to 1.45. A trial ends with the step
     in which the body fails. Collective.
 
+    Ground without cohesion is different. It fails at its surface, in a layer that is thinner than
+    the cells. A few points then move ahead of the body, and displacements rise gradually. The
+    factor depends on `growth` and on the cells, and may be above or below tan φ/tan β, that of an
+    infinite slope of the angle β. Compare several of both, or give a small cohesion.
+
     First way: trials start from the present state of the problem, and the problem has this state
     again at the end. Loads stay, and prescribed increments are zero. The factor divides the
     cohesion and the tangent of the friction angle of each law, see `Law`. A dilation angle stays

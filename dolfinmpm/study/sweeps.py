@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress
 
@@ -115,16 +115,13 @@ def convergence(
     {'h': 0.25, 'error': 0.0625, 'error_order': 2.0}
     {'h': 0.125, 'error': 0.015625, 'error_order': 2.0}
     """
-    try:
-        h = np.asarray(sizes, float)
-    except (TypeError, ValueError):
-        h = np.empty(0)
-    if h.ndim != 1 or h.size == 0 or not np.all(np.isfinite(h) & (h > 0)):
+    h = floats(sizes)
+    if h is None or h.ndim != 1 or h.size == 0 or not np.all(np.isfinite(h) & (h > 0)):
         raise ParameterError(f"sizes = {shown(sizes)} must be some positive numbers")
     rows = [{"h": float(size), **_figures(scene, size)} for size in progress(sizes, label)]
     if errors is None:
-        floats = (float, np.floating)
-        errors = [k for k in rows[0] if k != "h" and any(isinstance(r[k], floats) for r in rows)]
+        real = (float, np.floating)
+        errors = [k for k in rows[0] if k != "h" and any(isinstance(r[k], real) for r in rows)]
     errors = [errors] if isinstance(errors, str) else errors
     missing = [name for name in errors if any(name not in row for row in rows)]
     if missing:
