@@ -243,8 +243,8 @@ def call_on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
         comm: The ranks.
         function: The function.
     """
-    action: Callable[[], Any] = function if comm.rank == 0 else lambda: None
-    return comm.bcast(call_together(comm, action))
+    found: Any = call_together(comm, function if comm.rank == 0 else lambda: None)
+    return comm.bcast(found)
 
 
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
