@@ -243,8 +243,11 @@ def call_on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
         comm: The ranks.
         function: The function.
     """
-    found: Any = call_together(comm, function if comm.rank == 0 else lambda: None)
-    return comm.bcast(found)
+
+    def act() -> Any:
+        return function() if comm.rank == 0 else None
+
+    return comm.bcast(call_together(comm, act))
 
 
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:

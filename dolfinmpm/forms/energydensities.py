@@ -6,27 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from ufl.algorithms import extract_arguments, extract_coefficients
-from ufl.classes import (
-    CoefficientDerivative,
-    Curl,
-    Div,
-    Division,
-    Grad,
-    NablaDiv,
-    NablaGrad,
-    Product,
-    Sum,
-)
+from ufl.classes import CoefficientDerivative, Division, Product, Sum
 from ufl.constantvalue import zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm.basis.space import Space
-from dolfinmpm.forms.termqueries import depends_on, summands
+from dolfinmpm.forms.termqueries import SPATIAL_DERIVATIVES, depends_on, summands
 
 __all__ = ["density_of"]
-
-_SLOPES = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 
 def density_of(term: Expr, space: Space) -> Expr | None:
@@ -87,7 +75,7 @@ def _other(term: Expr, space: Space) -> Expr | None:
 def _has_slope(expression: Expr, of: Sequence[Any]) -> bool:
     """Whether an expression contains a gradient of one of the functions."""
     return any(
-        isinstance(node, _SLOPES)
+        isinstance(node, SPATIAL_DERIVATIVES)
         and any(c in of for c in (*extract_coefficients(node), *extract_arguments(node)))
         for node in unique_pre_traversal(expression)
     )

@@ -6,7 +6,6 @@ from typing import Any
 import ufl
 from dolfinx import fem
 from ufl.algorithms import extract_coefficients
-from ufl.classes import Curl, Div, Grad, NablaDiv, NablaGrad
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.errors import FormError
@@ -14,11 +13,9 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formsigns import FACETS
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.operators import PointOperator
-from dolfinmpm.forms.termqueries import brief, check_solved_for
+from dolfinmpm.forms.termqueries import SPATIAL_DERIVATIVES, brief, check_solved_for
 
 __all__ = ["by_measure", "check_derivatives"]
-
-SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 
 def check_derivatives(form: Any) -> None:
@@ -32,7 +29,7 @@ def check_derivatives(form: Any) -> None:
         raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
     for integral in form.integrals():
         for node in unique_pre_traversal(integral.integrand()):
-            if isinstance(node, SpatialDerivative):
+            if isinstance(node, SPATIAL_DERIVATIVES):
                 # UFL treats a field of the points as constant and would drop the term
                 inside = extract_coefficients(node)
                 for c in inside:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.algorithms import extract_coefficients
-from ufl.classes import Sum
+from ufl.classes import Curl, Div, Grad, NablaDiv, NablaGrad, Sum
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind
@@ -15,14 +15,24 @@ from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.operators import PointOperator
 
 __all__ = [
+    "PENALTY",
+    "SPATIAL_DERIVATIVES",
     "brief",
     "check_solved_for",
     "operators_in",
+    "penalty_of",
     "stiffness_per_area",
     "summands",
     "tags_of",
     "term_of",
 ]
+
+
+# Key in the metadata of a measure: increments of fields without a law's modulus, and the γ of their
+# ghost penalty in literal scaling
+PENALTY = "ghost_penalty"
+
+SPATIAL_DERIVATIVES = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 
 def brief(expression: Expr) -> str:
@@ -114,3 +124,17 @@ def tags_of(integral) -> Tags:
         raise FormError(
             f"the term '{brief(integral.integrand())}' restricts a measure of points: {error}"
         ) from None
+
+
+def penalty_of(form: ufl.Form, increment: Any) -> Any:
+    """γ for UFL of a field's ghost penalty, or None if no term of the form gives it.
+
+    Args:
+        form: Weak form.
+        increment: Increment of the field.
+    """
+    for integral in form.integrals():
+        for known, gamma in ((integral.metadata() or {}).get(PENALTY) or {}).items():
+            if known is increment:
+                return gamma
+    return None

@@ -6,12 +6,10 @@ the update of the elastic strain by an increment, and the stress measure of the 
 
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.kinematics.deposits import Deposit, Layer
+from dolfinmpm.kinematics.formulations import Jaumann, LargeStrain, SmallStrain
 from dolfinmpm.kinematics.initialstress import geostatic_stress
-from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.largestrain import LargeStrain
 from dolfinmpm.kinematics.lawterms import momentum, set_stress, strain_formulation, stress
 from dolfinmpm.kinematics.nitsche import dirichlet
-from dolfinmpm.kinematics.smallstrain import SmallStrain
 from dolfinmpm.kinematics.strainformulation import StrainFormulation
 from dolfinmpm.kinematics.walls import signorini
 

@@ -12,8 +12,7 @@ from dolfinmpm._platform.errors import ParameterError, StateError, call_together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.operators import KeptTangents
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.smallstrain import SmallStrain
+from dolfinmpm.kinematics.formulations import Jaumann, SmallStrain
 from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
 from dolfinmpm.kinematics.umatloop import kept_of_umat, umat_kernel
 from dolfinmpm.materials.umat import UMAT

@@ -22,12 +22,10 @@ from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import OWN_SHARE, VOLUMES, FBar
+from dolfinmpm.kinematics.formulations import FORMULATIONS
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
 from dolfinmpm.kinematics.incremental import Incremental
 from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
-from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.largestrain import LargeStrain
-from dolfinmpm.kinematics.smallstrain import SmallStrain
 from dolfinmpm.kinematics.strainformulation import StrainFormulation
 from dolfinmpm.kinematics.strainhistory import MARKS, check_history
 from dolfinmpm.kinematics.strainhistory import UMAT as UMAT_MARK
@@ -38,12 +36,6 @@ from dolfinmpm.materials.umat import UMAT
 __all__ = ["flux", "momentum", "set_stress", "strain_formulation", "stress"]
 
 CENTRES = "centres"
-
-_FORMULATIONS: dict[str, type[StrainFormulation]] = {
-    "large": LargeStrain,
-    "small": SmallStrain,
-    "jaumann": Jaumann,
-}
 
 
 def strain_formulation(
@@ -64,7 +56,7 @@ def strain_formulation(
         ParameterError: The strain formulation is not known, or the law has no kernel.
     """
     check_points(points)
-    strain = choice("strain", strain, _FORMULATIONS)
+    strain = choice("strain", strain, FORMULATIONS)
     if isinstance(law, UMAT):
         return Incremental(law, points, strain, as_tags(tag))
     if not isinstance(law, Law) or not law.has_kernel:
@@ -72,14 +64,14 @@ def strain_formulation(
             f"law = {shown(law)} has no kernel of principal strains; use a law such as "
             "mpm.materials.Hencky(E, nu)"
         )
-    return _FORMULATIONS[strain](law, points, as_tags(tag))
+    return FORMULATIONS[strain](law, points, as_tags(tag))
 
 
 def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag) -> int:
     """Number of the law's declaration; the same arguments share one declaration."""
     check_points(points)
     check_displacement(points, u=u)
-    strain = choice("strain", strain, _FORMULATIONS)
+    strain = choice("strain", strain, FORMULATIONS)
     tags, fbar = as_tags(tag), _means(fbar, u, strain)
     if tags is None:
         # a field with tags has no strain at other points

@@ -1,7 +1,7 @@
 """The loop over the points of a UMAT: Jaumann's rate or small strain around the call.
 
 The increment's gradient H gives G = H (1 + H/2)⁻¹, the strain increment sym G and the rotation R of
-Hughes and Winget, as in `dolfinmpm.kinematics.jaumann`. The UMAT gets the rotated stress R σ_n Rᵀ
+Hughes and Winget, as in `Jaumann`. The UMAT gets the rotated stress R σ_n Rᵀ
 and returns the new stress σ and D = DDSDDE, the derivative of σ by the strain increment.
 
 An objective law is a function σ = R f(σ_n, Rᵀ Δε R) Rᵀ. With δΩ = δR Rᵀ therefore

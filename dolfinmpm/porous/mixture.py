@@ -30,7 +30,7 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, carried
-from dolfinmpm.forms.ghostterms import PENALTY
+from dolfinmpm.forms.termqueries import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.lawterms import momentum
 from dolfinmpm.porous.alphalevel import Level

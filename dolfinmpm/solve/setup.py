@@ -17,8 +17,8 @@ from dolfinmpm.cut.activation import Field, movers
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
-from dolfinmpm.forms.ghostterms import penalty_of
 from dolfinmpm.forms.hoop import check_hoop
+from dolfinmpm.forms.termqueries import penalty_of
 from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 

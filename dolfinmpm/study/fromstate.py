@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
-from types import TracebackType
 
 import numpy as np
 from petsc4py import PETSc
@@ -16,9 +15,7 @@ from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.transient import Transient
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.largestrain import LargeStrain
-from dolfinmpm.kinematics.smallstrain import SmallStrain
+from dolfinmpm.kinematics.formulations import FORMULATIONS
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.operator import Operator
@@ -103,16 +100,11 @@ class FromState:
         try:
             self._elastic = self._settlement()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         problem = self._problem
         self._weaken(None)
         self._kept.restore()
@@ -196,7 +188,7 @@ class FromState:
         """
         problem = self._problem
         self._weaken(0.0)
-        for kinematics in (LargeStrain, SmallStrain, Jaumann):
+        for kinematics in FORMULATIONS.values():
             if kinematics.state in problem.points.fields:
                 problem.points[kinematics.state] = kinematics.rest
         # the elastic body begins without strain, also if the stress was set by the user
