@@ -54,7 +54,7 @@ class PointwiseLaw(Protocol):
 
 
 @runtime_checkable
-class AveragingLaw(Protocol):
+class AveragingLaw(PointwiseLaw, Protocol):
     """A `PointwiseLaw` that also needs cell means of a scalar function of its operand.
 
     The operand must depend on one increment only: it is the gradient of the increment, with a hoop
@@ -91,9 +91,6 @@ class AveragingLaw(Protocol):
                 the point, shape (n, size of the value).
         """
 
-    def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
-        """New values of the law's fields at the end of a step; see `PointwiseLaw.commit`."""
-
 
 @dataclass(frozen=True)
 class KeptTangents:
@@ -115,7 +112,7 @@ def if_kept(kept: KeptTangents | None) -> dict[str, Any]:
 
 
 @runtime_checkable
-class KeepingLaw(Protocol):
+class KeepingLaw(PointwiseLaw, Protocol):
     """A `PointwiseLaw` whose intermediate results are kept, and serve several calls.
 
     At the same increments, the tangent and the end of the step need the same intermediate results

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import basix.ufl
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.compat import jit_expression, kernel_arguments
 from dolfinmpm._platform.errors import FormError
 
-__all__ = ["Program", "call_tabulate", "compile_here", "compile_program"]
+__all__ = ["Program", "call_tabulate", "compile_here", "compile_program", "input_numbers"]
 
 Array = npt.NDArray[np.float64]
 
@@ -116,6 +117,25 @@ class Program:
             strides[s] = size if len(values) != 1 else 0
         _run(self.function, addresses, strides, sizes, out)
 
+    def values(self, numbers: Array) -> Array:
+        """Values of a program of `compile_here`, shape (n, size).
+
+        Args:
+            numbers: Its numbers at n points, shape (n, numbers), C-contiguous.
+        """
+        out = np.empty((len(numbers), self.size))
+        self.run(dict.fromkeys(self.inputs, numbers), out)
+        return out
+
+
+def input_numbers(size: int) -> ufl.Constant:
+    """So many numbers in UFL, the inputs of a program of `compile_here`, shape (size,).
+
+    They live on an interval, so that grids of all kinds share compiled functions.
+    """
+    element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
+    return ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(size,))
+
 
 def compile_program(
     grid, expressions: Sequence[Expr], sources: Mapping[ufl.Constant, Any]
@@ -133,18 +153,17 @@ def compile_program(
     return _compile(grid.comm, grid.topology.dim, expressions, sources)
 
 
-def compile_here(expressions: Sequence[Expr], sources: Mapping[ufl.Constant, Any]) -> Program:
+def compile_here(expressions: Sequence[Expr], numbers: ufl.Constant) -> Program:
     """Like `compile_program`, on this rank alone. Ranks with the same expressions compile once.
 
     Args:
         expressions: Values that the function writes, in this order.
-        sources: Key of the data for every constant in the expressions. The constants live on
-            an interval, so that grids of all kinds share compiled functions.
+        numbers: The only constant in the expressions; see `input_numbers`.
 
     Raises:
         FormError: FFCx cannot compile an expression.
     """
-    return _compile(MPI.COMM_SELF, 1, expressions, sources)
+    return _compile(MPI.COMM_SELF, 1, expressions, {numbers: "numbers"})
 
 
 def _compile(comm: MPI.Comm, tdim: int, expressions, sources) -> Program:

@@ -93,7 +93,7 @@ def write(
     grid = points.grid
     local = {name: one.values for name, one in state.items() if isinstance(one, Local)}
     cells = {name: one.values for name, one in state.items() if isinstance(one, OfCells)}
-    plain = {k: _plain(v) for k, v in state.items() if not isinstance(v, (Local, OfCells))}
+    plain = {k: v for k, v in state.items() if not isinstance(v, (Local, OfCells))}
     if cells:
         cells["middle"] = owned_corners(grid).mean(axis=1)
     header = {
@@ -105,7 +105,7 @@ def write(
         "configuration": points.configuration,
         "computed": None if points.partition is None else dataclasses.asdict(points.partition),
         "state": plain,
-        "history": [{k: _plain(v) for k, v in record.items()} for record in history],
+        "history": history,
     }
     with RowWriter(points.comm, path, FORMAT, VERSION) as file:
         for group, arrays in (("points", points.fields), ("cells", cells), ("local", local)):
@@ -164,7 +164,7 @@ def read(
                 raise_together(comm, error)
     cells.pop("middle", None)
     computed = header.get("computed") if kept else None
-    state = {name: _value(value) for name, value in header["state"].items()}
+    state = dict(header["state"])
     if computed is not None:
         computed = Partition.restored(computed)
     state |= {name: OfCells(values) for name, values in cells.items()}
@@ -234,17 +234,3 @@ def _mismatch(
 
 def _listed(fields: dict[str, Any]) -> Sequence[str]:
     return [f"{name} {np.dtype(kind).name}{tuple(shape)}" for name, (kind, shape) in fields.items()]
-
-
-def _plain(value: Any) -> Any:
-    """JSON's value for a number of NumPy or a small array."""
-    if isinstance(value, np.ndarray):
-        return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _value(plain: Any) -> Any:
-    """The inverse of `_plain`."""
-    if isinstance(plain, dict):
-        return np.array(plain["values"], np.dtype(plain["dtype"])).reshape(plain["shape"])
-    return plain

@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import CheckpointError, raise_together
 
-__all__ = ["RowReader", "RowWriter"]
+__all__ = ["RowReader", "RowWriter", "plain", "restored"]
 
 Rows = npt.NDArray[Any]
 
@@ -144,7 +144,9 @@ class RowWriter(_RowFile):
 
     def _complete(self) -> None:
         # a file without its header is not complete
-        self._file.writestr(_HEADER, json.dumps({**self._header, "rows": self._index}))
+        self._file.writestr(
+            _HEADER, json.dumps({**self._header, "rows": self._index}, default=plain)
+        )
         self._file.close()
         _sync(self._part)
         os.replace(self._part, self.path)
@@ -187,7 +189,7 @@ class RowWriter(_RowFile):
         self._do(self._end)
 
     def header(self, values: dict[str, Any]) -> None:
-        """Write the header: values that JSON can hold. The values on rank 0 count."""
+        """Write the header: values that JSON and `plain` can hold. The values on rank 0 count."""
         self._header |= values
 
 
@@ -236,14 +238,15 @@ class RowReader(_RowFile):
         if not self.path.is_file():
             raise CheckpointError(f"there is no file {self.path} to read")
         self._file = zipfile.ZipFile(self.path)
-        header = json.loads(self._file.read(_HEADER)) if _HEADER in self._file.namelist() else {}
+        text = self._file.read(_HEADER) if _HEADER in self._file.namelist() else "{}"
+        header = json.loads(text, object_hook=restored)
         if header.get("format") != self._format:
             raise CheckpointError(f"{self.path} is an archive, but no {self._format}")
         if (found := header["version"]) != self._version:
-            remedy = "update it" if found > self._version else "write the file anew with this one"
+            advice = "update it" if found > self._version else "write the file anew with this one"
             raise CheckpointError(
                 f"{self.path} has version {found} of a {self._format}, this dolfinmpm reads "
-                f"version {self._version}: {remedy}"
+                f"version {self._version}: {advice}"
             )
         return header
 
@@ -294,6 +297,22 @@ class RowReader(_RowFile):
                 comm.Recv(_bytes(piece), 0)
         self._meet()
         return out
+
+
+def plain(value: Any) -> Any:
+    """JSON's value for a number or a small array of NumPy, for `json.dumps(default=...)`."""
+    if isinstance(value, np.ndarray):
+        return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"JSON has no {type(value).__name__}")
+
+
+def restored(found: dict[str, Any]) -> Any:
+    """The inverse of `plain`, for `json.loads(object_hook=...)`."""
+    if found.keys() == {"dtype", "shape", "values"}:
+        return np.array(found["values"], np.dtype(found["dtype"])).reshape(found["shape"])
+    return found
 
 
 def _bytes(rows: Rows) -> Rows:

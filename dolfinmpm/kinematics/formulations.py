@@ -34,8 +34,8 @@ class LargeStrain(StrainFormulation):
 
     The grid is undeformed at the start of every step. Gradients are therefore taken by positions at
     the start of the step (Charlton, Coombs & Augarde 2017, doi 10.1016/j.compstruc.2017.05.004).
-    The increment gives ΔF = I + ∇ũ. The law gets the principal logarithmic strains ½ ln λ_i of b and
-    gives the Kirchhoff stress τ. The flux per initial volume is S, which multiplies ∇̃v.
+    The increment gives ΔF = I + ∇ũ. The law gets the principal logarithmic strains ½ ln λ_i of b,
+    and gives the Kirchhoff stress τ. The flux per initial volume is S, which multiplies ∇̃v.
 
     The state is the field `be`, the elastic left Cauchy–Green tensor; see `StrainFormulation`.
     """

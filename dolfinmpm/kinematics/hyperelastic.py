@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import ufl
 from ufl.core.expr import Expr
@@ -19,7 +18,7 @@ from dolfinmpm.forms.declarations import (
     LawField,
     rows_within,
 )
-from dolfinmpm.forms.pointwise import compile_here
+from dolfinmpm.forms.pointwise import compile_here, input_numbers
 from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS, check_history, refuse_stress
 from dolfinmpm.materials.base import lame
@@ -83,16 +82,13 @@ def _energy_at(law: NeoHookean, points: MaterialPoints, parameters: PointParamet
     """The law's energy per initial volume at its points (J/m³)."""
     rows, d = rows_within(points, tags), points.strain_dim
     number = len(law.parameters)
-    element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
-    z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(d * d + number,))
+    z = input_numbers(d * d + number)
     F = ufl.as_tensor([[z[d * i + j] for j in range(d)] for i in range(d)])
-    program = compile_here([law.energy(F, *(z[d * d + k] for k in range(number)))], {z: "z"})
+    program = compile_here([law.energy(F, *(z[d * d + k] for k in range(number)))], z)
     values = np.empty((len(rows), d * d + number))
     values[:, : d * d] = points["F"][rows].reshape(len(rows), d * d)
     values[:, d * d :] = parameters.at(rows)
-    out = np.empty((len(rows), 1))
-    program.run({"z": values}, out)
-    return out[:, 0]
+    return program.values(values)[:, 0]
 
 
 def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -13,7 +12,7 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
 from dolfinmpm.forms.pointterms import derive
-from dolfinmpm.forms.pointwise import Program, compile_here
+from dolfinmpm.forms.pointwise import Program, compile_here, input_numbers
 from dolfinmpm.kinematics.spectral import components, layout
 
 __all__ = ["StrainFunctions", "strain_functions"]
@@ -45,9 +44,7 @@ class StrainFunctions:
 
     def __init__(self, d: int):
         self.d, at = d, layout(d)
-        # the domain can be any domain, because nothing is integrated
-        element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
-        self._z = z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(at.size,))
+        self._z = z = input_numbers(at.size)
         six, inside = components(3), components(d)
 
         def tensor(start: int) -> Expr:
@@ -114,7 +111,7 @@ class StrainFunctions:
         return type(self).rate is not StrainFunctions.rate
 
     def _program(self, expressions: list[Expr]) -> Program:
-        return compile_here(expressions, {self._z: "z"})
+        return compile_here(expressions, self._z)
 
     def _trial_of(self, G: Expr) -> Expr:
         tensor = self.trial(G, self._old)
@@ -177,22 +174,16 @@ class StrainFunctions:
         at = layout(self.d)
         z = np.zeros((len(H), at.size))
         z[:, at.H : at.H + H.shape[1]], z[:, at.state : at.state + 6] = H, state
-        first = np.empty((len(H), self._first.size))
-        self._first.run({"z": z}, first)
+        first = self._first.values(z)
         good = np.all(first[:, : self.checks] > 0, axis=1).reshape(len(H))
         trial = first[:, self.checks :]
         if self._second is not None:
             z[:, at.G : at.G + H.shape[1]] = trial
-            trial = np.empty((len(H), self._second.size))
-            self._second.run({"z": z}, trial)
+            trial = self._second.values(z)
         return trial, good
 
 
-_made: dict[tuple[type[StrainFunctions], int], StrainFunctions] = {}
-
-
+@functools.cache
 def strain_functions(kind: type[StrainFunctions], d: int) -> StrainFunctions:
     """The strain formulation in d dimensions, one object per kind and dimension."""
-    if (kind, d) not in _made:
-        _made[kind, d] = kind(d)
-    return _made[kind, d]
+    return kind(d)

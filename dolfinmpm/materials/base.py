@@ -226,16 +226,19 @@ class Law(Parametrised):
         if self.has_moduli:
             lmbda, mu = self._lame(parameters)
             return lmbda + 2 * mu
-        tangent = self._tangent(strain, internal, parameters)
+        tangent = self._evaluated(strain, internal, parameters)[1].tangent
         return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
 
-    def _tangent(self, strain: Array, internal: Array, parameters: Array) -> Array:
-        """Derivatives of stress by trial strain (Pa), shape (n, 3, 3); 0 where no stress exists."""
-        n = len(strain)
-        elastic, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
-        new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.zeros((n, 3, 3))
-        respond_at_points(self.address, parameters, elastic, old, new, stress, tangent)
-        return tangent
+    def _evaluated(self, strain: Array, internal: Array, parameters: Array) -> tuple[int, Response]:
+        """The first point without a stress or -1, and the response at the points before it.
+
+        Elsewhere stresses are NaN, and tangents 0.
+        """
+        n, old = len(strain), np.ascontiguousarray(internal)
+        elastic, new = np.array(strain, order="C"), np.empty_like(old)
+        stress, tangent = np.full((n, 3), np.nan), np.zeros((n, 3, 3))
+        bad = respond_at_points(self.address, parameters, elastic, old, new, stress, tangent)
+        return bad, Response(elastic, new, stress, tangent)
 
     def response(self, strain: Array, internal: Array, parameters: Array) -> Array:
         """Principal stresses for trial strains (Pa), shape (n, 3); NaN where no stress exists.
@@ -245,11 +248,7 @@ class Law(Parametrised):
             internal: Internal variables, shape (n, variables).
             parameters: Parameters, shape (1, parameters) or (n, parameters).
         """
-        n = len(strain)
-        trial, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
-        new, stress, tangent = np.empty_like(old), np.full((n, 3), np.nan), np.empty((n, 3, 3))
-        respond_at_points(self.address, parameters, trial, old, new, stress, tangent)
-        return stress
+        return self._evaluated(strain, internal, parameters)[1].stress
 
     def moduli(self, strain: Array, internal: Array, parameters: Array) -> Array:
         """Elastic P-wave and shear modulus (Pa), shape (n, 2) or (1, 2).
@@ -265,7 +264,8 @@ class Law(Parametrised):
         if self.has_moduli:
             lmbda, mu = self._lame(parameters)
             return np.stack([lmbda + 2 * mu, mu], axis=1)
-        tangent = self._tangent(strain, self.unyielding(internal), parameters)
+        _, found = self._evaluated(strain, self.unyielding(internal), parameters)
+        tangent = found.tangent
         along = np.einsum("pii->p", tangent) / 3
         across = (tangent.sum(axis=(1, 2)) - 3 * along) / 6
         return np.stack([along, 0.5 * (along - across)], axis=1)
@@ -297,8 +297,8 @@ class Law(Parametrised):
                 internal variables differs from that of the law.
             StateError: A strain admits no stress. The message has the point and its state.
         """
-        elastic = _principal(strain)
-        n = len(elastic)
+        trial = _principal(strain)
+        n = len(trial)
         if x is not None and (x := coordinates("x", x)).shape[:-1] != (n,):
             raise ParameterError(
                 f"x has the shape {x.shape} and must have a position for each strain, ({n}, gdim)"
@@ -311,15 +311,13 @@ class Law(Parametrised):
                 f"{', '.join(self.internal) or 'no variable'}, {(n, len(self.internal))}"
             )
         old = np.ascontiguousarray(np.broadcast_to(old, (n, len(self.internal))))
-        new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.empty((n, 3, 3))
-        trial = elastic.copy()
-        bad = respond_at_points(self.address, parameters, elastic, old, new, stress, tangent)
-        if bad < 0 and not np.isfinite(stress).all():
+        bad, found = self._evaluated(trial, old, parameters)
+        if bad < 0 and not np.isfinite(found.stress).all():
             # elastic laws have no internal variables
-            bad = int(np.argmin(np.isfinite(stress).all(axis=1)))
+            bad = int(np.argmin(np.isfinite(found.stress).all(axis=1)))
         if bad >= 0:
             raise StateError(self.describe(bad, trial[bad], old[bad], parameters))
-        return Response(elastic, new, stress, tangent)
+        return found
 
     def describe(self, point: int, strain: Array, internal: Array, parameters: Array) -> str:
         """Message about a point at which the law finds no stress: strains, state, parameters."""
@@ -344,7 +342,7 @@ def _principal(strain: Any) -> Array:
         raise ParameterError(
             f"strain = {shown(strain)} must be three principal strains at each point, shape (n, 3)"
         )
-    return np.array(found, order="C").reshape(-1, 3)
+    return found.reshape(-1, 3)
 
 
 def lame(E: Any, nu: Any) -> tuple[Any, Any]:

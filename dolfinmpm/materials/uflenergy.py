@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import ufl
 from mpi4py import MPI
@@ -17,7 +17,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.compat import jit_expression
 from dolfinmpm._platform.errors import FormError, ParameterError, StateError
-from dolfinmpm.forms.pointwise import compile_here
+from dolfinmpm.forms.pointwise import Program, compile_here, input_numbers
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.parametrised import Array, Parameter, Value
 from dolfinmpm.materials.returnmapping import return_kernel, yield_values
@@ -116,6 +116,8 @@ class EnergyWithYield(Law):
                 f"EnergyWithYield: ranges of unknown parameters {', '.join(sorted(unknown))}; "
                 f"there are {', '.join(names)}"
             )
+        # principal values, α and parameters: the inputs of a compiled function
+        self._z = input_numbers(4 + len(names))
         self.internal = {HARDENING: ("", 0.0)} if yield_function else {}
         self._functions = {"energy": energy, "yield": yield_function, "potential": potential}
         if yield_function is None:
@@ -147,7 +149,7 @@ class EnergyWithYield(Law):
 
     def _of(self, function, what: str):
         """The function's UFL, and the variables of its derivatives."""
-        z = self._inputs()
+        z = self._z
         state = [ufl.variable(z[i]) for i in range(4)]
         named = {name: z[4 + k] for k, name in enumerate(self.parameters)}
         named[HARDENING] = state[3]
@@ -171,14 +173,6 @@ class EnergyWithYield(Law):
                 f"{getattr(result, 'ufl_shape', type(result).__name__)}"
             )
         return ufl.as_ufl(result), (state[:3], state[3])
-
-    def _inputs(self) -> ufl.Constant:
-        """Principal values, α and parameters: the inputs of a compiled function."""
-        if not hasattr(self, "_z"):
-            # any domain will do, for nothing is integrated over it
-            element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
-            self._z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(4 + len(self.parameters),))
-        return self._z
 
     def _compiled(self, expressions: list[Expr]) -> int:
         vector = expand_derivatives(ufl.as_vector(expressions))
@@ -213,18 +207,14 @@ class EnergyWithYield(Law):
 
     def energy(self, strain: Array, parameters: Array) -> Array:
         """ψ (J/m³), without the energy stored by hardening; see `Law.energy`."""
-        energy = self._functions["energy"]
-        assert energy is not None
-        if HARDENING in _names(energy):
-            return np.full(len(strain), np.nan)
-        if not hasattr(self, "_energy_program"):
-            expression, _ = self._of(energy, "energy")
-            self._energy_program = compile_here([expression], {self._inputs(): "z"})
         z = np.zeros((len(strain), 4 + len(self.parameters)))
         z[:, :3], z[:, 4:] = strain, parameters
-        out = np.empty((len(strain), 1))
-        self._energy_program.run({"z": z}, out)
-        return out[:, 0]
+        return self._energy_program.values(z)[:, 0]
+
+    @functools.cached_property
+    def _energy_program(self) -> Program:
+        energy, _ = self._of(self._functions["energy"], "energy")
+        return compile_here([energy], self._z)
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """Yield function f of principal Kirchhoff stresses, shape (n,); see `Law`."""

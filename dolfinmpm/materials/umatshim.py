@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import itertools
 
-__all__ = ["INCLUDE", "OFFSETS", "SHIM"]
+__all__ = ["INCLUDE", "OFFSETS", "SHIM", "SIZES"]
 
-# Positions in the array of doubles of a point; the state variables come last.
-_SIZES = {
+# Sizes and positions in the array of doubles of a point; the state variables come last.
+SIZES = {
     "stress": 6, "dstran": 6, "stran": 6, "ddsdde": 36, "drot": 9, "dfgrd0": 9, "dfgrd1": 9,
     "time": 2, "dtime": 1, "coords": 3, "celent": 1, "energies": 3, "pnewdt": 1,
 }  # fmt: skip
-_ENDS = itertools.accumulate(_SIZES.values(), initial=0)
-OFFSETS = dict(zip([*_SIZES, "statev"], _ENDS))
+_ENDS = itertools.accumulate(SIZES.values(), initial=0)
+OFFSETS = dict(zip([*SIZES, "statev"], _ENDS))
 
 INCLUDE = """\
       IMPLICIT REAL*8 (A-H, O-Z)

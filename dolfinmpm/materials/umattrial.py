@@ -17,7 +17,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import UserLawError
 from dolfinmpm.materials import umatprobe
 from dolfinmpm.materials.umatprobe import GUARDS
-from dolfinmpm.materials.umatshim import OFFSETS
+from dolfinmpm.materials.umatshim import OFFSETS, SIZES
 
 __all__ = ["try_umat"]
 
@@ -28,13 +28,9 @@ _SHOWN = 1500  # characters of output in a message
 _STOPPED = 77  # exit code after XIT, see the shim
 # two values of the guards: results that differ come from a read beyond an array
 _VALUES = (3.1, 17.7)
-# names of the interface → columns of a row
-_GIVEN = {
-    "STRESS": "stress", "STRAN": "stran", "DSTRAN": "dstran", "TIME": "time", "DTIME": "dtime",
-    "COORDS": "coords", "DROT": "drot", "CELENT": "celent", "DFGRD0": "dfgrd0",
-    "DFGRD1": "dfgrd1",
-}  # fmt: skip
-_SIZES = {"TIME": 2, "DTIME": 1, "COORDS": 3, "CELENT": 1, "DROT": 9, "DFGRD0": 9, "DFGRD1": 9}
+# tensors and other arrays of a row, by their names in the interface
+_TENSORS = ("STRESS", "STRAN", "DSTRAN")
+_OTHERS = ("TIME", "DTIME", "COORDS", "DROT", "CELENT", "DFGRD0", "DFGRD1")
 
 
 def try_umat(
@@ -65,9 +61,10 @@ def try_umat(
         "nshr": components - 3, "nstatv": len(variables), "nprops": properties.size,
         "PROPS": properties.tolist(), "PNEWDT": [1.0],
     }  # fmt: skip
-    for argument, key in _GIVEN.items():
-        size = _SIZES.get(argument, components)
-        task[argument] = row[OFFSETS[key] : OFFSETS[key] + size].tolist()
+    for argument in _TENSORS + _OTHERS:
+        start = OFFSETS[argument.lower()]
+        size = components if argument in _TENSORS else SIZES[argument.lower()]
+        task[argument] = row[start : start + size].tolist()
     start = OFFSETS["statev"]
     task["STATEV"] = row[start : start + len(variables)].tolist()
     results = [_call({**task, "guard": value}, law) for value in _VALUES]

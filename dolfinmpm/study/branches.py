@@ -105,33 +105,24 @@ class Marks:
                 for wall in self._walls
             ]
         for points, before in zip(self._points, self._before):
-            ids, at = points.fields.read("id"), None
-            first = np.asarray(before["id"])
-            if not np.array_equal(ids, first):
-                # points that changed rank are left out
-                at = np.flatnonzero(np.isin(ids, first))
-                order = np.argsort(first)
-                rows = order[np.searchsorted(first[order], ids[at])]
-            yielding = []
-            for name in self._names(points):
-                if name not in before:
-                    continue
-                now, old = points.fields.read(name), before[name]
-                if at is not None:
-                    now, old = now[at], old[rows]
-                changed = np.any(now != old, axis=tuple(range(1, now.ndim)))
-                numbers = ids if at is None else ids[at]
-                yielding.append(np.sort(numbers[changed]))
-            found[_YIELD].append(yielding)
+            ids, first = points.fields.read("id"), before["id"]
+            # points that changed rank are left out
+            at = np.flatnonzero(np.isin(ids, first))
+            order = np.argsort(first)
+            rows = order[np.searchsorted(first[order], ids[at])]
+            changed = {
+                name: np.any(
+                    points.fields.read(name)[at] != old[rows], axis=tuple(range(1, old.ndim))
+                )
+                for name, old in before.items()
+            }
+            names = [name for name in self._names(points) if name in before]
+            found[_YIELD].append([np.sort(ids[at][changed[name]]) for name in names])
             if self._kinks:
-                now, old = points.fields.read("cell"), before["cell"]
-                changed = np.ones(len(ids), bool)
-                if at is None:
-                    changed = now != old
-                else:
-                    # points that come from another rank have crossed a cell
-                    changed[at] = now[at] != old[rows]
-                found[_CROSS].append([np.sort(ids[changed])])
+                # points that come from another rank have crossed a cell
+                crossed = np.ones(len(ids), bool)
+                crossed[at] = changed["cell"]
+                found[_CROSS].append([np.sort(ids[crossed])])
         return found
 
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import file_path, whole
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_on_root
+from dolfinmpm.io.rowfile import plain, restored
 from dolfinmpm.io.vtkfiles import replace_file
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
@@ -95,12 +96,12 @@ class Savepoints:
             "out": [[pair.out for pair in pairs] for pairs in self._sets],
             "moved": [[self._largest(pair.moved) for pair in pairs] for pairs in self._sets],
             "notes": [[pair.notes for pair in pairs] for pairs in self._sets],
-            "figures": _plain(figures),
-            "derivatives": _plain(found),
+            "figures": figures,
+            "derivatives": found,
         }
 
         def replace() -> None:
-            replace_file(self._folder / _INDEX, json.dumps(index))
+            replace_file(self._folder / _INDEX, json.dumps(index, default=plain))
             for old in set(self._folder.glob("step*_run*_problem*.npz")) - {p for _, p in archives}:
                 old.unlink()
 
@@ -132,7 +133,6 @@ class Savepoints:
                 f"restart = '{self._folder}' has {taken} steps, and this run takes {steps}: give a "
                 "folder of its own, or remove the old one"
             )
-        index.setdefault("moved", [[0.0] * len(pairs) for pairs in self._sets])
         kept = (index[name] for name in ("members", "out", "notes", "moved"))
         for pairs, *of_pairs in zip(self._sets, *kept):
             for pair, number, one, known, moved in zip(pairs, *of_pairs):
@@ -142,33 +142,15 @@ class Savepoints:
         self._base.leave_out(taken)
         for problem, path in self._archives(taken):
             problem.load(path)
-        return _arrays(index["figures"]), _arrays(index["derivatives"])
+        return index["figures"], index["derivatives"]
 
     def _index(self) -> Any:
         path = self._folder / _INDEX
         if not path.exists():
             return None
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            return json.loads(path.read_text(encoding="utf-8"), object_hook=restored)
         except ValueError as cause:
             raise CheckpointError(
                 f"'{path}' is damaged ({cause}): remove the folder, and begin anew"
             ) from cause
-
-
-def _plain(values: Any) -> Any:
-    """Nested dictionaries and lists of arrays, as lists of numbers."""
-    if isinstance(values, dict):
-        return {name: _plain(value) for name, value in values.items()}
-    if isinstance(values, list):
-        return [_plain(value) for value in values]
-    return {"array": values.tolist()}
-
-
-def _arrays(plain: Any) -> Any:
-    """The inverse of `_plain`."""
-    if isinstance(plain, list):
-        return [_arrays(value) for value in plain]
-    if plain.keys() == {"array"}:
-        return np.array(plain["array"], float)
-    return {name: _arrays(value) for name, value in plain.items()}

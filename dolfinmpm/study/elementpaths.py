@@ -22,9 +22,16 @@ __all__ = ["COMPONENTS", "Leg", "check_logarithmic", "legs_of"]
 Array = npt.NDArray[np.float64]
 
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "xz")
-_PATHS = ("isotropic", "oedometer", "triaxial", "undrained triaxial", "simple shear",
-          "undrained simple shear")  # fmt: skip
-
+# Path → strain or stress that leads, further strains and stresses that keep their value
+_PATHS: dict[str, tuple[str, str, tuple[str, ...], tuple[str, ...]]] = {
+    "isotropic": ("volume", "mean", ("xx-yy", "yy-zz"), ()),
+    "oedometer": ("yy", "yy", (), ()),
+    # the same strain along x and z: at an edge of a yield surface stress alone leaves it open
+    "triaxial": ("yy", "yy-xx", ("xx-zz",), ("xx",)),
+    "undrained triaxial": ("yy", "yy-xx", ("volume", "xx-zz"), ()),
+    "simple shear": ("xy", "xy", (), ("yy",)),
+    "undrained simple shear": ("xy", "xy", (), ()),
+}
 # Largest logarithmic strain of a path; larger ones are in per cent
 _LARGEST = 3.0
 
@@ -132,28 +139,13 @@ def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:
     turns = [to] if single else to
     if not isinstance(turns, (Sequence, np.ndarray)) or isinstance(turns, str) or not len(turns):
         raise ParameterError(f"to = {shown(to)} must be a number, or turning points one by one")
-    shear = "shear" in path
-    lead = {
-        "isotropic": ("volume", "mean"), "oedometer": ("yy", "yy"), "triaxial": ("yy", "yy-xx"),
-        "undrained triaxial": ("yy", "yy-xx"),
-    }.get(path, ("xy", "xy"))[by == "stress"]  # fmt: skip
-    strain: dict[str, float | None] = {}
-    stress: dict[str, float | None] = {}
-    if path == "isotropic":
-        strain = {"xx-yy": None, "yy-zz": None}
-    elif path == "triaxial":
-        # the same strain along x and z: at an edge of a yield surface stress alone leaves it open
-        stress, strain = {"xx": None}, {"xx-zz": None}
-    elif path == "undrained triaxial":
-        strain = {"volume": None, "xx-zz": None}
-    elif shear and path == "simple shear":
-        stress = {"yy": None}
+    strain, stress, *kept = _PATHS[path]
     found = []
     for turn in turns:
-        end = {lead: number("to", turn)}
-        of_strain = {**strain, **(end if by == "strain" else {})}
-        of_stress = {**stress, **(end if by == "stress" else {})}
-        found.append(leg(of_strain, of_stress, steps))
+        of_strain, of_stress = (dict.fromkeys(names) for names in kept)
+        end = number("to", turn)
+        more = ({strain: end}, {}) if by == "strain" else ({}, {stress: end})
+        found.append(leg(of_strain | more[0], of_stress | more[1], steps))
     return found
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -16,7 +15,7 @@ from dolfinmpm._platform.argumentchecks import choice, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.filling import fill
 from dolfinmpm.body.shapes import Box
-from dolfinmpm.forms.pointwise import compile_here
+from dolfinmpm.forms.pointwise import compile_here, input_numbers
 from dolfinmpm.grid.graded import create_lattice
 from dolfinmpm.kinematics.lawterms import set_stress, strain_formulation
 from dolfinmpm.materials.base import Law
@@ -41,17 +40,15 @@ def matrix(components: Array) -> Array:
 
 def _of_energy(law: NeoHookean) -> Callable[[Array], tuple[Array, Array]]:
     """Function of F that returns the Cauchy stress, shape (3, 3), and its derivative by F."""
-    element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
-    z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(9,))
+    z = input_numbers(9)
     F = ufl.variable(ufl.as_tensor([[z[3 * i + j] for j in range(3)] for i in range(3)]))
     sigma = law.cauchy_stress(F)
     slope = expand_derivatives(ufl.diff(sigma, F))
     index = [*np.ndindex(3, 3)], [*np.ndindex(3, 3, 3, 3)]
-    program = compile_here([*(sigma[i] for i in index[0]), *(slope[i] for i in index[1])], {z: "z"})
+    program = compile_here([*(sigma[i] for i in index[0]), *(slope[i] for i in index[1])], z)
 
     def respond(at: Array) -> tuple[Array, Array]:
-        out = np.empty((1, 90))
-        program.run({"z": np.ascontiguousarray(at).reshape(1, 9)}, out)
+        out = program.values(np.ascontiguousarray(at).reshape(1, 9))
         return out[0, :9].reshape(3, 3), out[0, 9:].reshape(3, 3, 3, 3)
 
     return respond
