@@ -60,7 +60,7 @@ from weak_slope import (
 )
 
 import dolfinmpm as mpm
-from dolfinmpm.io.plots import grid_lines
+from dolfinmpm.io.gridlines import grid_lines
 
 WIDTH = 24.0
 STABILISATIONS = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"

@@ -34,15 +34,15 @@ def idle(
     conditions = [c for c in conditions if c.place is None and c.space.refinement is None]
     if not conditions:
         return []
-    holds = np.zeros(len(conditions), np.int32)
+    acts = np.zeros(len(conditions), np.int32)
     for space, nodes in zip(spaces, active):
         moved = np.zeros(space.basis.nodes.size, bool)
         moved[nodes] = True
         for k, condition in enumerate(conditions):
             if condition.space is space:
-                holds[k] = moved[condition.nodes].any()
-    spaces[0].grid.comm.Allreduce(MPI.IN_PLACE, holds, op=MPI.MAX)
-    return list(dict.fromkeys(c.where for c, held in zip(conditions, holds) if not held))
+                acts[k] = moved[condition.nodes].any()
+    spaces[0].grid.comm.Allreduce(MPI.IN_PLACE, acts, op=MPI.MAX)
+    return list(dict.fromkeys(c.where for c, acting in zip(conditions, acts) if not acting))
 
 
 def warn_idle(
@@ -92,9 +92,9 @@ def free_motions(
     for condition in conditions:
         if condition.space is not space:
             continue
-        held = condition.nodes[moved[condition.nodes]]
-        rows = np.zeros((held.size, len(square)))
-        k, r = condition.component, (x[held] - middle) / size
+        nodes = condition.nodes[moved[condition.nodes]]
+        rows = np.zeros((nodes.size, len(square)))
+        k, r = condition.component, (x[nodes] - middle) / size
         rows[:, k] = 1.0
         for at, (i, j) in enumerate(turns):
             if k in (i, j):

@@ -143,7 +143,7 @@ class Refinement:
     def __init__(self, grid: Mesh, sizes: Sequence[CellSize], levels: int):
         self._grid, self.sizes, self.levels = grid, tuple(sizes), levels
         self.leaves: Leaves | None = None
-        self._held: Leaves | None = None
+        self._former: Leaves | None = None
         self._bases: dict[tuple[int, int], tuple[Partition | None, LeafBasis]] = {}
 
     @property
@@ -181,17 +181,17 @@ class Refinement:
 
     def hold(self) -> None:
         """Let cells that are split now stay split unless clearly larger ones are wanted."""
-        self._held = self.leaves
+        self._former = self.leaves
 
     def regrid(self) -> None:
         """Forget all leaves: the grid's lines have moved, and leaves keep those of their time."""
-        self._held, self.leaves, self._bases = None, None, {}
+        self._former, self.leaves, self._bases = None, None, {}
 
     def state(self) -> dict[str, Any]:
-        """The leaves held, as lowest lines and sizes, and `levels`; the same on all ranks."""
-        if self._held is None:
+        """The former leaves, as lowest lines and sizes, and `levels`; the same on all ranks."""
+        if self._former is None:
             return {}
-        return {"low": self._held.low, "size": self._held.size, "levels": self.levels}
+        return {"low": self._former.low, "size": self._former.size, "levels": self.levels}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`, also one of other `levels`."""
@@ -199,7 +199,7 @@ class Refinement:
         if "low" in values:
             low, size = (np.asarray(values[name], np.int32) for name in ("low", "size"))
             more = self.levels - int(values.get("levels", self.levels))
-            self._held = Leaves.restored(self.lattice, self.levels, *_rescaled(low, size, more))
+            self._former = Leaves.restored(self.lattice, self.levels, *_rescaled(low, size, more))
 
     @property
     def told(self) -> str:
@@ -216,7 +216,7 @@ class Refinement:
         """
         half = where.half if averaged else np.zeros_like(where.half)
         comm = self._grid.comm
-        made = leaves_of(comm, self.lattice, self.levels, where.x, half, self.wanted, self._held)
+        made = leaves_of(comm, self.lattice, self.levels, where.x, half, self.wanted, self._former)
         if not made.same(self.leaves):
             self.leaves, self._bases = made, {}
         assert self.leaves is not None

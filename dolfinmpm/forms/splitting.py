@@ -272,12 +272,12 @@ def _regions(
     )
     mentioned = sorted({tag for tags in (*where, *laws) for tag in tags or ()})
     # points with different laws in one cell share the mean over the cell: one region for all
-    means = any(
+    averages = any(
         isinstance(o.law, AveragingLaw) for i in integrals for o in operators_in(i.integrand())
     )
     shape = (points.gdim,)
     bodies = [s.tags for s in spaces if s.tags is not None and s.increment.ufl_shape == shape]
-    if means and bodies:
+    if averages and bodies:
         # but each body with its own displacement has its own means, also in shared cells
         return [
             PointTerms(
@@ -285,7 +285,7 @@ def _regions(
             )
             for tags in bodies
         ]
-    if not mentioned or means:
+    if not mentioned or averages:
         return [PointTerms(integrals, spaces, points, declarations=declarations)]
     alike: dict[tuple, set[int]] = {}
     for tag in mentioned:

@@ -51,15 +51,15 @@ def fingerprint(grid: Mesh) -> dict[str, Any]:
     waves = np.sqrt(np.arange(2.0, 2.0 + _WAVES * gdim)).reshape(_WAVES, gdim) * 2 * math.pi
     at_corners = [np.cos(scaled @ wave).mean(axis=1).sum() for wave in waves]
     sums = np.array(at_corners + [np.cos(middles @ wave).sum() for wave in waves])
-    means = np.empty_like(sums)
-    comm.Allreduce(sums, means, op=MPI.SUM)
+    totals = np.empty_like(sums)
+    comm.Allreduce(sums, totals, op=MPI.SUM)
     return {
         "cells": cells,
         "type": grid.topology.cell_type.name,
         "dimension": gdim,
         "low": low.tolist(),
         "high": high.tolist(),
-        "waves": (means / max(cells, 1)).tolist(),
+        "waves": (totals / max(cells, 1)).tolist(),
     }
 
 

@@ -181,7 +181,7 @@ def leaves_of(
     x: Array,
     half: Array,
     wanted: Wanted,
-    held: Leaves | None = None,
+    former_leaves: Leaves | None = None,
 ) -> Leaves:
     """The leaves for some domains. Collective; all ranks get the same leaves.
 
@@ -193,8 +193,8 @@ def leaves_of(
         levels: Largest number of times that a root is halved.
         x, half: Positions and half-lengths of the domains on this rank (m), shape (n, gdim).
         wanted: Function of the corners of cells that returns the sizes wanted there (m).
-        held: Former leaves, or None. Cells that were split before stay split unless cells larger
-            by `HYSTERESIS` are wanted.
+        former_leaves: Those of the last step, or None. Cells that were split stay split unless
+            cells larger by `HYSTERESIS` are wanted.
 
     Raises:
         PointsOutsideGridError: A domain overlaps too many leaves.
@@ -209,11 +209,11 @@ def leaves_of(
         chosen = np.zeros(len(tree.low), bool)
         if rows.size:
             size = wanted(low, high)
-            if held is not None:
-                _, _, *search = held.tree.search
+            if former_leaves is not None:
+                _, _, *search = former_leaves.tree.search
                 former = np.empty(rows.size, np.int32)
                 nodes_at(tree.low[rows], *search, former)
-                was_split = held.tree.size[former] < tree.size[rows]
+                was_split = former_leaves.tree.size[former] < tree.size[rows]
                 size = np.where(was_split, size / HYSTERESIS, size)
             chosen[rows] = size < edge * (1 - 1e-9)
         if not chosen.any():

@@ -56,11 +56,11 @@ def _in_space(a, values, vectors):
     xx, yy, zz, xy, yz, xz = xx * scale, yy * scale, zz * scale, xy * scale, yz * scale, xz * scale
     minors = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     # the largest eigenvalue, or the smallest
-    root = 2.0 * math.cos(math.acos(min(0.5 * abs(minors), 1.0)) / 3.0)
+    eigenvalue = 2.0 * math.cos(math.acos(min(0.5 * abs(minors), 1.0)) / 3.0)
     if minors < 0.0:
-        root = -root
+        eigenvalue = -eigenvalue
     # cross products of the rows of a - root are along the axis; the longest is the most exact
-    x0, y0, z0 = xx - root, yy - root, zz - root
+    x0, y0, z0 = xx - eigenvalue, yy - eigenvalue, zz - eigenvalue
     u0, u1, u2 = xy * yz - xz * y0, xz * xy - x0 * yz, x0 * y0 - xy * xy
     v0, v1, v2 = xy * z0 - xz * yz, xz * xz - x0 * z0, x0 * yz - xy * xz
     w0, w1, w2 = y0 * z0 - yz * yz, yz * xz - xy * z0, xy * yz - y0 * xz

@@ -21,18 +21,19 @@ from dolfinmpm._platform.argumentchecks import check_kind, choice, file_path, nu
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.basis.refinement import leaves_on
-from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.pyvistamesh import domains, load_pyvista
 from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
-from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.io.encoding import ENDINGS, ffmpeg, join
-from dolfinmpm.io.figures import check_size, two_numbers
-from dolfinmpm.io.frames import Frame, Series
+from dolfinmpm.io.figures import check_size
+from dolfinmpm.io.frames import Frame, Series, present_frame
+from dolfinmpm.io.gridlines import grid_lines, lines_of_lattice
 from dolfinmpm.io.plots import (
+    DRAW,
     check_colour,
-    extent_of,
-    grid_lines,
+    check_limits,
+    default_draw,
     label_of,
     prefix_of,
     scalar_of,
@@ -95,8 +96,8 @@ class Film:
         self._comm = points.comm
         # made on rank 0 alone, which is the rank that draws
         self._folder = tempfile.TemporaryDirectory() if self._comm.rank == 0 else None
-        self._count = 0
-        self._extent = extent_of(points.grid)
+        self._frames = 0
+        self._extent = np.column_stack(bounds(points.grid))
         self._lines = self._present_lines()
         self._unit = points.unit_of(look.colour)
 
@@ -106,7 +107,7 @@ class Film:
 
     def __exit__(self, kind: object, *_: object) -> None:
         """Close it; after an error too: the film then ends at the last frame."""
-        if kind is None or self._count > 0:
+        if kind is None or self._frames > 0:
             self.close()
         elif self._folder is not None:
             self._folder.cleanup()
@@ -123,27 +124,20 @@ class Film:
             OSError: There is no room for temporary files.
         """
         points, colour = self._points, self._look.colour
-        if self._count < 0:
+        if self._frames < 0:
             raise ParameterError(f"the film {self.path} is closed: make another one")
         call_together(self._comm, lambda: number("time", time))
-        derived = colour == "displacement" and colour not in points.fields
-        gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
         refined = leaves_on(points.grid) is not None
         lines = self._present_lines() if refined else None
+        frame = present_frame(points, colour, self._bodies, self._extent, lines, time)
 
         def keep() -> None:
-            if gathered is None or self._folder is None:
-                return
-            x, F, half, half0, values = gathered
-            values = x - values if derived else values
-            bodies = [body.outline(*self._extent.T) for body in self._bodies]
-            F = in_section(points, F)
-            frame = Frame(time, x, F, half, half0, values, bodies, lines)
-            file = Path(self._folder.name, f"frame{self._count:06d}")
-            file.write_bytes(pickle.dumps(frame))
+            if self._folder is not None:
+                file = Path(self._folder.name, f"frame{self._frames:06d}")
+                file.write_bytes(pickle.dumps(frame))
 
         call_together(self._comm, keep)
-        self._count += 1
+        self._frames += 1
 
     def _present_lines(self) -> Array | None:
         """Lines of the grid, or of the leaves that there are now. Collective."""
@@ -159,9 +153,9 @@ class Film:
             MissingPackageError: There is no ffmpeg for .mp4, or no PyVista for points in 3D.
             OSError: The film cannot be written.
         """
-        if self._count < 0:
+        if self._frames < 0:
             return
-        count, self._count = self._count, -1
+        count, self._frames = self._frames, -1
 
         def draw() -> None:
             folder = self._folder or contextlib.nullcontext()
@@ -257,8 +251,7 @@ def animate(
         if comm.rank == 0 and isinstance(points, MaterialPoints) and points.gdim == 3:
             # to be told before the run, and not after it
             load_pyvista()
-        if limits is not None and not np.less(*two_numbers("limits", limits)):
-            raise ParameterError(f"limits = {shown(limits)} must rise, from lowest to highest")
+        check_limits(limits)
         check_size(size, dpi)
         number("rate", rate, 0.0)
         check_kind("title", title, str, '"t = {time:.2f} s"')
@@ -268,18 +261,15 @@ def animate(
             raise ParameterError(f"title = {title!r} may have {{time}} in it alone") from cause
         how = draw
         if how is None:
-            how = "deformed"
-            if isinstance(points, MaterialPoints) and lattice_of(points.grid) is None:
-                how = "dots"
-        choice("draw", how, ("deformed", "domains", "dots"))
+            how = default_draw(points) if isinstance(points, MaterialPoints) else "deformed"
+        choice("draw", how, DRAW)
         return file, _Look(
             colour, component, limits, view, how, title, cmap, size, dpi, float(rate)
         )  # fmt: skip
 
     file, look = call_together(comm, check)
     if isinstance(points, MaterialPoints):
-        derived = colour == "displacement" and colour not in points.fields
-        call_together(comm, lambda: check_colour(points, colour, component, None, view, derived))
+        call_together(comm, lambda: check_colour(points, colour, component, None, view))
         check_bodies(bodies, points.gdim)
         return Film(points, file, look, bodies)
 
@@ -291,21 +281,15 @@ def animate(
         if comm.rank != 0:
             return
         series = Series(Path(source))
-        lines = _grid_of(series)
+        lines = None
+        if series.lines is not None and series.gdim == 2:
+            lines = lines_of_lattice(*series.lines)
         read: Callable[[int], Frame] = lambda k: series.frame(k, colour)  # noqa: E731
         unit = series.units.get(colour, "")
         _draw_all(read, len(series), file, look, series.box, lines, unit)
 
     call_together(comm, of_series)
     return None
-
-
-def _grid_of(series: Series) -> Array | None:
-    """Ends of the lines of a series' rectangular grid in 2D, shape (n, 2, 2)."""
-    if series.lines is None or series.gdim != 2:
-        return None
-    a, b = series.lines
-    return np.array([((s, b[0]), (s, b[-1])) for s in a] + [((a[0], s), (a[-1], s)) for s in b])
 
 
 def _draw_all(read, count: int, path: Path, look: _Look, extent, lines, unit: str) -> None:
@@ -336,18 +320,11 @@ def _draw_all(read, count: int, path: Path, look: _Look, extent, lines, unit: st
         join(pictures, path, look.rate)
 
 
-def _edges(frame: Frame, look: _Look) -> Array:
-    """Half-edges of the domains as columns, shape (n, d, d)."""
-    if look.draw == "domains":
-        return frame.half[:, None] * np.eye(frame.x.shape[1])
-    return frame.F * frame.half0[:, None]
-
-
 def _draw_flat(frame, values, label, limits, picture, look: _Look, extent, lines) -> None:
     if frame.lines is not None:
         lines = frame.lines
     scene = Scene(
-        frame.x, _edges(frame, look), values, label, look.draw == "dots", lines, limits, 5.0,
+        frame.x, frame.edges(look.draw), values, label, look.draw == "dots", lines, limits, 5.0,
         look.cmap, look.size, frame.bodies,
     )  # fmt: skip
     title = look.title.format(time=frame.time)
@@ -356,7 +333,7 @@ def _draw_flat(frame, values, label, limits, picture, look: _Look, extent, lines
 
 def _draw_solid(frame, values, label, limits, picture, look: _Look, extent, lines) -> None:
     """Domains in 3D by PyVista, seen from the front, the right and above."""
-    mesh = domains(frame.x, _edges(frame, look))
+    mesh = domains(frame.x, frame.edges(look.draw))
     import pyvista
 
     mesh.cell_data["values"] = values

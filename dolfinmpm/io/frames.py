@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.errors import CheckpointError, ParameterError
-from dolfinmpm.io.plots import lines_of_boxes
+from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_together
+from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.rigidbody import RigidBody
+from dolfinmpm.io.gridlines import lines_of_boxes
 
-__all__ = ["Frame", "Series"]
+__all__ = ["Frame", "Series", "is_derived", "present_frame"]
 
 Array = npt.NDArray[Any]
 
@@ -41,6 +45,44 @@ class Frame:
     values: Array
     bodies: list[Array]
     lines: Array | None = None
+
+    def edges(self, draw: str) -> Array:
+        """Half-edges of the domains as columns, shape (n, d, d); undeformed for "domains"."""
+        if draw == "domains":
+            return self.half[:, None] * np.eye(self.x.shape[1])
+        return self.F * self.half0[:, None]
+
+
+def is_derived(points: MaterialPoints, colour: str) -> bool:
+    """Whether a field to colour by is no field of the points, but follows from their positions."""
+    return colour == "displacement" and colour not in points.fields
+
+
+def present_frame(
+    points: MaterialPoints, colour: str, bodies: Sequence[RigidBody], extent: Array,
+    lines: Array | None = None, time: float = 0.0,
+) -> Frame | None:  # fmt: skip
+    """The frame of the present state, on rank 0; None on the others. Collective.
+
+    Args:
+        points: The points.
+        colour: Field to colour by, or "displacement".
+        bodies: Rigid bodies.
+        extent: Lowest and highest coordinates of the grid (m), shape (gdim, 2).
+        lines, time: See `Frame`.
+    """
+    derived = is_derived(points, colour)
+    gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
+
+    def made() -> Frame | None:
+        if gathered is None:
+            return None
+        x, F, half, half0, values = gathered
+        facets = [body.outline(*extent.T) for body in bodies]
+        values = x - values if derived else values
+        return Frame(time, x, in_section(points, F), half, half0, values, facets, lines)
+
+    return call_together(points.comm, made)
 
 
 class Series:

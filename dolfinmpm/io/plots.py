@@ -13,22 +13,21 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, floats, number, shown, truth
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm.basis.refinement import leaves_on
-from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.io.figures import check_picture, check_size, two_numbers
+from dolfinmpm.io.frames import is_derived, present_frame
+from dolfinmpm.io.gridlines import grid_lines
 from dolfinmpm.io.scene import Scene
 
 __all__ = [
     "check_colour",
-    "extent_of",
-    "grid_lines",
+    "check_limits",
+    "default_draw",
     "label_of",
-    "lines_of_boxes",
     "plot",
     "prefix_of",
     "scalar_of",
@@ -36,10 +35,8 @@ __all__ = [
 
 Array = npt.NDArray[Any]
 _AXES = "xyz"
-_DRAW = ("deformed", "domains", "dots")
+DRAW = ("deformed", "domains", "dots")
 _SYMBOLS = {"stress": r"\sigma", "displacement": "u"}
-# with more lines the grid would look like a grey area
-_MOST_CELLS = 200_000
 
 
 @collective
@@ -108,18 +105,12 @@ def plot(
     True
     """
     check_kind("points", points, MaterialPoints, "plot(points, path)")
-    if draw is None:
-        draw = "dots" if lattice_of(points.grid) is None else "deformed"
-    draw = choice("draw", draw, _DRAW)
+    draw = choice("draw", default_draw(points) if draw is None else draw, DRAW)
     truth("grid", grid)
-    derived = colour == "displacement" and colour not in points.fields
 
     def check() -> None:
-        check_colour(points, colour, component, cut, view, derived)
-        if limits is not None and not np.less(*two_numbers("limits", limits)):
-            raise ParameterError(
-                f"limits = {shown(limits)} must rise, from the lowest to the highest"
-            )
+        check_colour(points, colour, component, cut, view)
+        check_limits(limits)
         check_size(size, dpi)
         check_bodies(bodies, points.gdim)
         number("max_aspect", max_aspect, 1.0, math.inf, closed=True)
@@ -127,44 +118,50 @@ def plot(
             check_picture(path, cmap)
 
     call_together(points.comm, check)
-    extent = extent_of(points.grid)
+    extent = np.column_stack(bounds(points.grid))
     lines = grid_lines(points.grid, cut) if grid and points.gdim > 1 else None
-    gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
+    frame = present_frame(points, colour, bodies, extent)
 
     def draw_on_root() -> None:
-        if gathered is None:
+        if frame is None:
             return
-        x, F, half, half0, values = gathered
-        F = in_section(points, F)
         unit = points.unit_of(colour)
-        scalars, symbol = scalar_of(x - values if derived else values, component, points.gdim)
+        scalars, symbol = scalar_of(frame.values, component, points.gdim)
         missing = np.flatnonzero(~np.isfinite(scalars))
         if missing.size and limits is None:
             raise ParameterError(
-                f"'{colour}' is {scalars[missing[0]]} at {missing.size} of {len(x)} points, as at "
-                f"{x[missing[0]]} m; give limits to leave such points blank"
+                f"'{colour}' is {scalars[missing[0]]} at {missing.size} of {len(frame.x)} points, "
+                f"as at {frame.x[missing[0]]} m; give limits to leave such points blank"
             )
         scale, prefix = prefix_of(scalars, limits) if unit == "Pa" else (1.0, "")
-        unit = prefix + unit
-        # columns are the half-edges of the points' domains
-        edges = half[:, None] * np.eye(points.gdim) if draw == "domains" else F * half0[:, None]
         scene = Scene(
-            x, edges, scalars / scale, label or label_of(colour, symbol, unit),
-            draw == "dots", lines,
+            frame.x, frame.edges(draw), scalars / scale,
+            label or label_of(colour, symbol, prefix + unit), draw == "dots", lines,
             None if limits is None else np.divide(limits, scale), max_aspect, cmap, size,
-            [body.outline(extent[:, 0], extent[:, 1]) for body in bodies],
+            frame.bodies,
         )  # fmt: skip
         scene.write(path, extent, view, cut, title, dpi)
 
     call_together(points.comm, draw_on_root)
 
 
-def check_colour(points, colour, component, cut, view, derived) -> None:
+def default_draw(points: MaterialPoints) -> str:
+    """How points are drawn by default. Collective."""
+    return "dots" if lattice_of(points.grid) is None else "deformed"
+
+
+def check_limits(limits: Any) -> None:
+    """Raise ParameterError unless a range of colours is None, or two numbers that rise."""
+    if limits is not None and not np.less(*two_numbers("limits", limits)):
+        raise ParameterError(f"limits = {shown(limits)} must rise, from the lowest to the highest")
+
+
+def check_colour(points, colour, component, cut, view) -> None:
     """Raise ParameterError if the points lack a field, component or direction of `plot`."""
     known = [*points.fields, "displacement"]
     if colour not in known:
         raise ParameterError(f"no field '{colour}' to colour by; there are {', '.join(known)}")
-    shape = (points.gdim,) if derived else points[colour].shape[1:]
+    shape = (points.gdim,) if is_derived(points, colour) else points[colour].shape[1:]
     if isinstance(component, str):
         fits = component in ("mean", "mises") and shape == (3, 3)
     else:
@@ -237,66 +234,3 @@ def prefix_of(values: Array, limits) -> tuple[float, str]:
         if largest >= scale:
             return scale, prefix
     return 1.0, ""
-
-
-def extent_of(grid) -> Array:
-    """Lowest and highest coordinates of the grid (m), shape (gdim, 2). Collective."""
-    x = grid.geometry.x[:, : grid.geometry.dim]
-    low = grid.comm.allgather(x.min(axis=0, initial=math.inf))
-    high = grid.comm.allgather(x.max(axis=0, initial=-math.inf))
-    return np.column_stack([np.min(low, axis=0), np.max(high, axis=0)])
-
-
-def grid_lines(grid, cut) -> Array | None:
-    """Ends of the grid's lines (m) in a plane, shape (lines, 2, 2), on rank 0. Collective."""
-    lattice, dim, leaves = lattice_of(grid), grid.geometry.dim, leaves_on(grid)
-    if leaves is not None and (dim == 2 or cut is not None):
-        low, high = leaves.tree.corners(np.flatnonzero(leaves.tree.child < 0))
-        if cut is not None:
-            k = _AXES.index(cut[0])
-            met = (low[:, k] <= cut[1]) & (cut[1] < high[:, k])
-            low, high = (np.delete(ends[met], k, axis=1) for ends in (low, high))
-        return lines_of_boxes(low, high)
-    if lattice is not None and (dim == 2 or cut is not None):
-        kept = [d for d in range(dim) if cut is None or _AXES[d] != cut[0]]
-        a, b = (lattice.lines[d] for d in kept)
-        return np.array([((s, b[0]), (s, b[-1])) for s in a] + [((a[0], s), (a[-1], s)) for s in b])
-    cells = grid.topology.index_map(grid.topology.dim)
-    if dim == 3 or cells.size_global > _MOST_CELLS:
-        return None
-    corners = grid.geometry.x[geometry_dofmap(grid)[: cells.size_local], :2]
-    order = {3: (0, 1, 2), 4: (0, 1, 3, 2)}[corners.shape[1]]
-    pieces = grid.comm.gather(np.stack([corners[:, order], np.roll(corners[:, order], -1, 1)], 2))
-    if pieces is None:
-        return None
-    ends = np.concatenate([piece.reshape(-1, 2, 2) for piece in pieces])
-    # an edge of two cells, in opposite directions, is drawn once
-    first, last = ends[:, 0], ends[:, 1]
-    turned = (first[:, 0] > last[:, 0]) | ((first[:, 0] == last[:, 0]) & (first[:, 1] > last[:, 1]))
-    ends[turned] = ends[turned, ::-1]
-    return np.unique(ends, axis=0)
-
-
-def lines_of_boxes(low: Array, high: Array) -> Array:
-    """Sides of boxes that touch (m), each drawn once, shape (lines, 2, 2).
-
-    The side of a box next to smaller boxes is left out: the smaller boxes have the same line.
-
-    Args:
-        low, high: Lowest and highest corners (m), shape (n, 2).
-    """
-    x = np.concatenate([low, high])
-    unit = 1e-9 * np.ptp(x, axis=0).max(initial=1e-300)
-    corners = np.stack([low, np.column_stack([high[:, 0], low[:, 1]]), high, low + 0.0], axis=1)
-    corners[:, 3, 1] = high[:, 1]
-    found = []
-    # sides along x, and along y
-    for pairs in ((0, 1), (3, 2)), ((0, 3), (1, 2)):
-        sides = np.concatenate([corners[:, pair] for pair in pairs])
-        numbers = np.rint(sides / unit).astype(np.int64)
-        _, first = np.unique(numbers.reshape(-1, 4), axis=0, return_index=True)
-        sides, numbers = sides[first], numbers[first]
-        ends = {tuple(end) for end in numbers.reshape(-1, 2).tolist()}
-        middles = np.rint(sides.mean(axis=1) / unit).astype(np.int64).tolist()
-        found.append(sides[[tuple(middle) not in ends for middle in middles]])
-    return np.concatenate(found)

@@ -165,7 +165,7 @@ class FBar:
         by_centres: Whether a point counts only in the cell of its centre, and gets the mean of
             this cell, even if its domain overlaps other cells. Fewer points then share a mean, and
             the means jump when points cross into the next cell.
-        own: Share of a point's own volume change, α: ΔJ̄ is replaced by ΔJ̄^(1−α) ΔJ^α.
+        own_share: Share of a point's own volume change, α: ΔJ̄ is replaced by ΔJ̄^(1−α) ΔJ^α.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class FBar:
         points: MaterialPoints,
         degree: int = 1,
         by_centres: bool = False,
-        own: float = 0.0,
+        own_share: float = 0.0,
     ):
         self.by_centres = by_centres
         self.formulation = formulation
@@ -182,7 +182,7 @@ class FBar:
         self._degree = degree
         self._bound = False
         self._multiplicative = formulation.multiplicative
-        self.own = own
+        self.own_share = own_share
         self._slopes: tuple[Array, Array] = (np.empty(0), np.empty(0))
         self._measure: Array = np.empty(0)
         self._mean: Array = np.empty(0)
@@ -248,12 +248,12 @@ class FBar:
         """
         self._measure = self._measured(operand)
         self._mean = mean(self._measure)
-        if self.own:
+        if self.own_share:
             self._mix()
 
     def _mix(self) -> None:
         """Let the points' own changes count with their share in the means; keep the slopes."""
-        share, mean, measure = self.own, self._mean, self._measure
+        share, mean, measure = self.own_share, self._mean, self._measure
         by_mean, by_measure = np.full_like(mean, 1.0 - share), np.full_like(mean, share)
         if self._multiplicative:
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -295,10 +295,10 @@ class FBar:
             by_mean = np.empty_like(value)
         slope = np.empty((0, 1)) if by_mean is None else by_mean
         _true_gradient(operand, measure, mean, history, d, kind, value, tangent, slope)
-        if self.own and by_mean is not None:
+        if self.own_share and by_mean is not None:
             of_mean, of_measure = (slope[rows, None] for slope in self._slopes)
-            own = of_measure * self.measure_slope(operand)
-            tangent += by_mean[:, :, None] * own[:, None]
+            by_own = of_measure * self.measure_slope(operand)
+            tangent += by_mean[:, :, None] * by_own[:, None]
             by_mean *= of_mean
         return -1
 

@@ -72,7 +72,7 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag)
     check_points(points)
     check_displacement(points, u=u)
     strain = choice("strain", strain, FORMULATIONS)
-    tags, fbar = as_tags(tag), _means(fbar, u, strain)
+    tags, fbar = as_tags(tag), _kind_of_fbar(fbar, u, strain)
     if tags is None:
         # a field with tags has no strain at other points
         tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
@@ -105,7 +105,7 @@ def _degree(u) -> int:
     return space.basis.degree if space is not None else 1
 
 
-def _means(fbar: Any, u, strain: str) -> bool | str:
+def _kind_of_fbar(fbar: Any, u, strain: str) -> bool | str:
     """Kind of the means of F-bar: True, False, "centres" or "volumes".
 
     Raises:
@@ -137,8 +137,8 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     inner = strain_formulation(law, points, strain, tags)
     outer: PointwiseLaw = inner
     if fbar:
-        own = OWN_SHARE if fbar == VOLUMES else 0.0
-        outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES, own=own)
+        own_share = OWN_SHARE if fbar == VOLUMES else 0.0
+        outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES, own_share=own_share)
     operand = gradient(points, u)
     operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
 

@@ -67,7 +67,7 @@ class StrainFormulation:
         self.points = points
         self.tags = tags
         self._parameters = PointParameters(law, points, tags)
-        self._compiled = strain_functions(self.functions, points.strain_dim)
+        self._compiled = strain_functions(self.functions, points.strain_dim)  # type: ignore[arg-type]
         self._kernel = stress_kernel(points.strain_dim)
 
     @property

@@ -184,6 +184,6 @@ class StrainFunctions:
 
 
 @functools.cache
-def strain_functions(kind: type[StrainFunctions], d: int) -> StrainFunctions:
+def strain_functions(kind: Any, d: int) -> StrainFunctions:
     """The strain formulation in d dimensions, one object per kind and dimension."""
     return kind(d)

@@ -54,10 +54,14 @@ def _on_surface(t, z_trial, y_trial, shear_trial, swelling, compression, M, mu0,
     size = m * m + a
     square = (x * a / size) ** 2
     b = (m * m + a * x * (2.0 * x - 1.0)) / size
-    root = math.sqrt(b * b + 4.0 * square * x * below)
-    eps = (2.0 * x * below / (b + root) if b >= 0.0 else (root - b) / (2.0 * square)) / size
+    discriminant_root = math.sqrt(b * b + 4.0 * square * x * below)
+    eps = (
+        2.0 * x * below / (b + discriminant_root)
+        if b >= 0.0
+        else (discriminant_root - b) / (2.0 * square)
+    ) / size
     db = 2.0 * m * dm - a * x * (4.0 * x - 1.0)
-    deps = (2.0 * (x * a * eps) ** 2 - db * eps - x * (1.0 - 2.0 * x)) / (root * size)
+    deps = (2.0 * (x * a * eps) ** 2 - db * eps - x * (1.0 - 2.0 * x)) / (discriminant_root * size)
     shear = math.sqrt(eps)
     dshear = 0.5 * deps / shear
     g = x * (1.0 + a * eps)

@@ -85,8 +85,8 @@ def _reach(first, move, centre, span):
     for i in range(6):
         d[i] = first[i] - centre[i]
     a, b = _dot(move, move), _dot(d, move)
-    root = math.sqrt(max(b * b - a * (_dot(d, d) - span * span), 0.0))
-    return min((root - b) / a, 1.0)
+    discriminant_root = math.sqrt(max(b * b - a * (_dot(d, d) - span * span), 0.0))
+    return min((discriminant_root - b) / a, 1.0)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -28,9 +28,9 @@ def _drucker_prager(parameters, strain, old, new, stress, tangent):
     e = (strain[0] - mean, strain[1] - mean, strain[2] - mean)
     p = 3.0 * K * mean
     norm2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
-    root = G * math.sqrt(2.0 * norm2)  # √J₂
+    sqrt_J2 = G * math.sqrt(2.0 * norm2)  # √J₂
     strength = xi * (cohesion + hardening * old[0])
-    f = root + eta * p - strength
+    f = sqrt_J2 + eta * p - strength
     if not math.isfinite(f):
         return 1
     new[0] = old[0]
@@ -49,11 +49,11 @@ def _drucker_prager(parameters, strain, old, new, stress, tangent):
     back = p - K * eta_flow * multiplier
     # From f = 0 instead of √J₂ − G Δγ: exactly on the cone, for any size of the trial stress
     end = strength + xi * hardening * rate * multiplier - eta * back
-    if (root > G * multiplier and end > 0.0) or eta == 0.0:
+    if (sqrt_J2 > G * multiplier and end > 0.0) or eta == 0.0:
         end = max(end, 0.0)
-        scale = 2.0 * G / root
+        scale = 2.0 * G / sqrt_J2
         n = (scale * e[0], scale * e[1], scale * e[2])
-        shear = 2.0 * G * end / root
+        shear = 2.0 * G * end / sqrt_J2
         for i in range(3):
             # the part with n_j, and the part that is equal for all j
             along = n[i] * (G - G * G / slope) - K * eta_flow * G / slope - 0.5 * shear * n[i]
@@ -222,9 +222,9 @@ class DruckerPrager(Law):
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """f = √J₂ + η p − ξ (c + H ε̄ᵖ) (Pa), shape (n,); see `Law.yield_function`."""
         p = stress.mean(axis=1)
-        root = np.sqrt(0.5 * ((stress - p[:, None]) ** 2).sum(axis=1))
+        sqrt_J2 = np.sqrt(0.5 * ((stress - p[:, None]) ** 2).sum(axis=1))
         c = parameters[:, 2] + parameters[:, 5] * internal[:, 0]
-        return root + parameters[:, 6] * p - parameters[:, 7] * c
+        return sqrt_J2 + parameters[:, 6] * p - parameters[:, 7] * c
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, fit={self.fit!r})"

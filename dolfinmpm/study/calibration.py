@@ -176,11 +176,10 @@ def calibrate(
     settings = {"bounds": bounds, "confidence": confidence, "tolerance": tolerance,
                 "max_runs": max_runs}  # fmt: skip
     residuals = WeightedResiduals(scene, start, sizes, data, scaled, settings, progress)
-    if residuals.count < len(start):
+    if residuals.size < len(start):
         zero = " (those of weight 0 do not count)" * any((w == 0).any() for w in scaled.values())
         raise ParameterError(
-            f"{residuals.count} measurements{zero} cannot tell {len(start)} parameters: measure "
-            "more"
+            f"{residuals.size} measurements{zero} cannot tell {len(start)} parameters: measure more"
         )
     limits = _limits(residuals, start, {} if bounds is None else bounds)
     found = least_squares(
@@ -287,11 +286,11 @@ def _judged(
     parameters = residuals.at(found.x)
     n, p = slopes.shape
     _, values, directions = np.linalg.svd(slopes, full_matrices=False)
-    known = values > _ZERO * max(float(values[0]), np.finfo(float).tiny)
+    told = values > _ZERO * max(float(values[0]), np.finfo(float).tiny)
     # with as many measurements as parameters there is no variance to see
     variance = float(r @ r) / (n - p) if n > p else np.inf
     with np.errstate(divide="ignore"):
-        inverse = np.where(known, 1.0 / np.where(known, values, 1.0) ** 2, np.inf)
+        inverse = np.where(told, 1.0 / np.where(told, values, 1.0) ** 2, np.inf)
     # infinite along a combination that is not told, and zero beside it
     parts = np.where(np.abs(directions) > _ZERO, directions, 0.0)
     with np.errstate(invalid="ignore"):
@@ -305,7 +304,7 @@ def _judged(
     reach = student.ppf(0.5 + confidence / 2, max(n - p, 1)) * width
     ends = [residuals.at(found.x + sign * reach) for sign in (-1, 1)]
     intervals = {k: (ends[0][k], ends[1][k]) for k in parameters}
-    notes = _words(list(parameters), width, correlation, known, directions)
+    notes = _words(list(parameters), width, correlation, told, directions)
     if n == p:
         notes.append(f"{n} measurements for {p} parameters leave no variance to see: measure more")
     return Calibration(
@@ -321,11 +320,11 @@ def _sum(terms: Array) -> float:
 
 
 def _words(
-    names: list[str], width: Array, correlation: Array, known: Any, directions: Array
+    names: list[str], width: Array, correlation: Array, told: Any, directions: Array
 ) -> list[str]:
     """What the measurements do not tell, in words."""
     notes = []
-    for direction in directions[~known]:
+    for direction in directions[~told]:
         parts = [
             f"{name}^{share:+.2f}" for name, share in zip(names, direction) if abs(share) > 0.01
         ]

@@ -133,7 +133,7 @@ def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:
     choice("by", by, ("strain", "stress"))
     if not isinstance(path, str):
         refuse_idle("by", by, "strain", "legs name strains and stresses themselves")
-        return _own(path, to, steps)
+        return _given_legs(path, to, steps)
     path = choice("path", path, _PATHS)
     single = isinstance(to, Real) or (isinstance(to, np.ndarray) and to.ndim == 0)
     turns = [to] if single else to
@@ -149,7 +149,7 @@ def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:
     return found
 
 
-def _own(path: Any, to: Any, steps: int) -> list[Leg]:
+def _given_legs(path: Any, to: Any, steps: int) -> list[Leg]:
     if not isinstance(path, Sequence) or not len(path):
         raise ParameterError(
             f"path = {shown(path)} must be one of {', '.join(_PATHS)}; or a list of legs, such as "

@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 _CURVED, _EVEN = 10.0, 1e-5
 # Relative difference of figures on two ranks that is rounding
 _ROUNDING = 1e-9
-_UNSETTLED = (
+_UNCONVERGED = (
     "forces remain that the tangent does not remove (it may not be the derivative of the forces, "
     "or they are rounded, as those of a stiff footing), so that derivatives may be wrong"
 )
@@ -222,12 +222,12 @@ class FollowingRuns:
             middle: Its figures after the step.
         """
         started = time.perf_counter()
-        own = RunState(self.members[0].problems) if self.may_begin else None
+        before_step = RunState(self.members[0].problems) if self.may_begin else None
         leaves = [self._follow(base, k, marks) for k in range(len(self.members))]
-        if own is not None and before is not None and leaves[0]:
+        if before_step is not None and before is not None and leaves[0]:
             self._add(-1)
             self.members[1].leave_out(base.taken - 1)
-            self._mirror(before, own, 1)
+            self._mirror(before, before_step, 1)
             leaves.append(self._follow(base, 1, marks))
         self._note_motion(base)
         derivatives = self._differences(base, leaves, middle)
@@ -237,11 +237,11 @@ class FollowingRuns:
     def _note_motion(self, base: FollowedRun) -> None:
         """Update the largest change of a position."""
         for problem, other in zip(base.problems, self.members[0].problems):
-            read, beside = problem.points.fields.read, other.points.fields.read
+            read, read_other = problem.points.fields.read, other.points.fields.read
             way = np.abs(read("x") - read("x0")).max(initial=0.0)
             self.moved = max(self.moved, self.epsilon * float(way))
-            if np.array_equal(read("id"), beside("id")):
-                change = np.abs(beside("x") - read("x")).max(initial=0.0)
+            if np.array_equal(read("id"), read_other("id")):
+                change = np.abs(read_other("x") - read("x")).max(initial=0.0)
                 self.moved = max(self.moved, float(change))
 
     def _follow(self, base: FollowedRun, k: int, marks: Events) -> list[str]:
@@ -288,8 +288,8 @@ class FollowingRuns:
         for reason in {reason for reasons in told for reason in reasons}:
             self.notes.setdefault(reason, []).append(base.taken)
         # beside a kink, the tangent of the run at m is not that of another run
-        if not any(leaves) and not all(reader.settled for reader in self.readers):
-            self.notes.setdefault(_UNSETTLED, []).append(base.taken)
+        if not any(leaves) and not all(reader.converged for reader in self.readers):
+            self.notes.setdefault(_UNCONVERGED, []).append(base.taken)
         plus, *others = (self._measured(member, middle) for member in self.members)
         if not others:
             return {k: np.asarray((plus[k] - middle[k]) / self.epsilon) for k in plus}

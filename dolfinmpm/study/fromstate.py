@@ -91,14 +91,14 @@ class FromState:
 
     def __enter__(self) -> FromState:
         problem = self._problem
-        self._kept = SavedState(problem)
-        self._own = problem.solver, problem.here, problem.kept, problem.max_halvings
+        self._saved = SavedState(problem)
+        self._before = problem.solver, problem.here, problem.kept, problem.max_halvings
         # trials get their own solver, so that they leave no trace in the problem's solver
         newton, solver = problem.newton.anew(), problem.solver
         problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
         problem.max_halvings = 0
         try:
-            self._elastic = self._settlement()
+            self._elastic = self._elastic_displacement()
         except BaseException:
             self.__exit__()
             raise
@@ -107,8 +107,8 @@ class FromState:
     def __exit__(self, *exception: object) -> None:
         problem = self._problem
         self._weaken(None)
-        self._kept.restore()
-        problem.solver, problem.here, problem.kept, problem.max_halvings = self._own
+        self._saved.restore()
+        problem.solver, problem.here, problem.kept, problem.max_halvings = self._before
 
     def __call__(self, factor: float) -> Trial:
         """Run a trial from the kept state. Collective.
@@ -118,7 +118,7 @@ class FromState:
         """
         points = self._problem.points
         self._weaken(None)
-        self._kept.restore()
+        self._saved.restore()
         points.fields[_BEFORE] = points["x"].copy()
         with self._at_rest():
             return self._reduced(factor)
@@ -164,20 +164,20 @@ class FromState:
     def _at_rest(self) -> Iterator[None]:
         """Set prescribed increments to zero in this context, but keep pressures. Collective."""
         problem = self._problem
-        held = problem.held
+        prescribed = problem.held
         still = [
             condition
             if condition.kind == "value"
             else replace(condition, value=0.0, velocity=None, function=None)
-            for condition in held.conditions
+            for condition in prescribed.conditions
         ]
         problem.held = EssentialConditions(still, problem.form.spaces)
         try:
             yield
         finally:
-            problem.held = held
+            problem.held = prescribed
 
-    def _settlement(self) -> float:
+    def _elastic_displacement(self) -> float:
         """Largest displacement of the elastic body under the loads (m). Collective.
 
         The loads are all forces in balance with the stress: weight, tractions, pore pressure,

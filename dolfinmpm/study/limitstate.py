@@ -65,7 +65,7 @@ class LimitState:
         self._scene, self._limit, self._sizes = scene, limit, dict(sizes)
         self.names, self.runs = list(sizes), [0, 0]
         self._comm: MPI.Intracomm = MPI.COMM_SELF
-        self._known: dict[bytes, tuple[float, Array | None]] = {}
+        self._runs: dict[bytes, tuple[float, Array | None]] = {}
 
     def _built(self, m: dict[str, float]) -> Run:
         run = built(self._scene, m, limit=self._limit)
@@ -83,13 +83,13 @@ class LimitState:
                 returns no `Run`.
         """
         x = self._shared(values)
-        if x.tobytes() not in self._known:
+        if x.tobytes() not in self._runs:
             run = self._built(self._named(x))
             take_steps(run)
             found = last_value(run, self._limit, self._named(x))
             self._keep(x, found, None)
             self.runs[1] += 1
-        return self._known[x.tobytes()][0]
+        return self._runs[x.tobytes()][0]
 
     def gradient(self, values: npt.ArrayLike) -> Array:
         """Derivatives by the parameters, shape (p,), per unit of each. Collective.
@@ -101,15 +101,15 @@ class LimitState:
             ParameterError: As `LimitState.__call__`, or a derivative is not finite.
         """
         x = self._shared(values)
-        known = self._known.get(x.tobytes())
-        if known is None or known[1] is None:
+        former = self._runs.get(x.tobytes())
+        if former is None or former[1] is None:
             m = self._named(x)
             # a small deviation of a large value would be lost in its rounding
             scales = {k: max(abs(size), _LEAST * abs(m[k])) for k, size in self._sizes.items()}
             found = differentiate(self._built, m, scales=scales, central=False)
             self._keep(x, *call_together(self._comm, lambda: self._last(found)))
             self.runs[0] += 1
-        slopes = self._known[x.tobytes()][1]
+        slopes = self._runs[x.tobytes()][1]
         assert slopes is not None
         return slopes
 
@@ -142,9 +142,9 @@ class LimitState:
 
     def _keep(self, x: Array, value: float, slopes: Array | None) -> None:
         # only the last few: a long simulation must not grow
-        if len(self._known) > 8:
-            self._known.clear()
-        self._known[x.tobytes()] = self._comm.bcast((value, slopes))
+        if len(self._runs) > 8:
+            self._runs.clear()
+        self._runs[x.tobytes()] = self._comm.bcast((value, slopes))
 
     def made(self, derivatives: bool) -> Any:
         """The function of OpenTURNS.

@@ -184,27 +184,27 @@ class Reader:
 
     Attributes:
         off: Reasons why the reader does not take the same way as the tape.
-        settled: Whether the equations of the run are solved to the digits of a derivative.
+        converged: Whether the equations of the run are solved to the digits of a derivative.
     """
 
     def __init__(self, tape: Tape, pair: object = None, even: float = 0.0):
-        self.tape, self.pair, self.even, self._at = tape, pair, even, 0
+        self.tape, self.pair, self.even, self._place = tape, pair, even, 0
         tape.readers += 1
         self.off: list[str] = []
-        self.settled = True
+        self.converged = True
 
     def begin(self) -> None:
         """Begin at the start of the tape."""
-        self._at, self.off, self.settled = 0, [], True
+        self._place, self.off, self.converged = 0, [], True
 
     def next(self, operator: Operator) -> TapedStep | None:
         """The next solution, or None if the equations have other unknowns. Collective."""
         stages = self.tape.stages
-        if self._at >= len(stages):
+        if self._place >= len(stages):
             self.off.append("other substeps are taken")
             return None
-        stage = stages[self._at]
-        self._at += 1
+        stage = stages[self._place]
+        self._place += 1
         mine, known = operator.here.unknowns, stage.unknowns
         same = len(mine.fields) == len(known.fields) and all(
             np.array_equal(a.nodes, b.nodes) and np.array_equal(a.places[0], b.places[0])
@@ -264,8 +264,8 @@ class FollowingNewton(Newton):
         x = known.x.copy()
         if stage.tangent is not None:
             reader = self.reader
-            x, settled = stage.tangent.follow(operator, x, stage.force, reader.pair, reader.even)
-            reader.settled &= settled
+            x, converged = stage.tangent.follow(operator, x, stage.force, reader.pair, reader.even)
+            reader.converged &= converged
         operator.move(x)
         operator.update_contact()
         self.reader.compare(stage, operator)
@@ -323,7 +323,7 @@ class FollowingBordered(Bordered):
         """
         border, reader, comm = self.border, self.reader, operator.here.unknowns.comm
         x, known = stage.outcome.x.copy(), tangent.corrections.get(reader.pair)
-        count, former, settled = 0, np.inf, True
+        count, former, converged = 0, np.inf, True
         first: tuple[float, Array] = 0.0, np.zeros(at.gap.size)
         while known is None or count <= known[0]:
             residual = operator.residual(x)
@@ -335,7 +335,7 @@ class FollowingBordered(Bordered):
                 if left <= max(_LEFT, reader.even):
                     break
                 if not left <= CONTRACTS * former or count == MOST:
-                    settled = left <= _TOLD
+                    converged = left <= _TOLD
                     break
                 former = left
             b = tangent.solve(operator, force)
@@ -346,8 +346,8 @@ class FollowingBordered(Bordered):
             border.move(change)
             operator.update_external()
             count += 1
-        tangent.corrections.setdefault(reader.pair, (count - 1, settled))
-        reader.settled &= settled if known is None else known[1]
+        tangent.corrections.setdefault(reader.pair, (count - 1, converged))
+        reader.converged &= converged if known is None else known[1]
         return x
 
 

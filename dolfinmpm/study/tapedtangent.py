@@ -50,13 +50,13 @@ class SpareSolver:
 
     Attributes:
         shared: The solver for all runs that follow, or None before its first use.
-        own: The solver of a run that takes another way, likewise.
+        present: The solver of a run that takes another way, likewise.
         changes: Changes of the unknowns in the last step, shape (owned,) per run that follows.
         unknowns: Numbering of these unknowns.
     """
 
     shared: LinearSolver | None = None
-    own: LinearSolver | None = None
+    present: LinearSolver | None = None
     changes: list[Array] = field(default_factory=list)
     unknowns: Unknowns | None = None
 
@@ -98,7 +98,7 @@ class TapedTangent:
         self._lender, self._version, self._spare = linear, linear.version, spare
         factors_pay = _MANY_INCOMPLETE[operator.form.points.gdim]
         self._complete, self._comm = readers >= factors_pay, linear.comm
-        self._known = [x, *spare.take_changes(operator.here.unknowns)]
+        self._solutions = [x, *spare.take_changes(operator.here.unknowns)]
         self._products: list[Array] = []
         self.corrections: dict[object, tuple[int, bool]] = {}
         method = linear.method
@@ -117,21 +117,21 @@ class TapedTangent:
         self._linear = self._spare.shared
         factor(self._linear, operator)
 
-    def _own(self, operator: Operator, right: Array, digits: float) -> Array:
+    def _solve_here(self, operator: Operator, right: Array, digits: float) -> Array:
         """Solve with the tangent at present, by another method if need be; others do not use it.
 
         Raises:
             ConvergenceError: No method converges.
         """
-        if self._spare.own is None:
-            self._spare.own = self._lender.twin(False)
-        own = self._spare.own
+        if self._spare.present is None:
+            self._spare.present = self._lender.twin(False)
+        here = self._spare.present
         while True:
-            factor(own, operator)
-            found = own.again(right, digits=digits)
-            if not own.stuck:
+            factor(here, operator)
+            found = here.again(right, digits=digits)
+            if not here.stuck:
                 return found
-            if not own.relax():
+            if not here.relax():
                 raise ConvergenceError(
                     "the linear solver does not converge with the tangent of a converged step, so "
                     "that derivatives would be wrong: choose another one by petsc_options"
@@ -157,11 +157,11 @@ class TapedTangent:
         linear = self._linear
         if linear.direct:
             found = linear.again(right, digits=digits)
-            return self._own(operator, right, digits) if linear.stuck else found
-        if self._known and not self._products:
-            self._products = [linear.product(x) for x in self._known]
+            return self._solve_here(operator, right, digits) if linear.stuck else found
+        if self._solutions and not self._products:
+            self._products = [linear.product(x) for x in self._solutions]
         found = linear.again(right, self._guess(right), digits)
-        return self._own(operator, right, digits) if linear.stuck else found
+        return self._solve_here(operator, right, digits) if linear.stuck else found
 
     def _learn(self, found: Array, right: Array) -> None:
         """Let later solutions begin in the span of this one, too.
@@ -171,7 +171,7 @@ class TapedTangent:
             right: Its right-hand side, likewise: the product of the solution but for what remains.
         """
         if not self._linear.direct:
-            self._known.append(found)
+            self._solutions.append(found)
             self._products.append(right)
 
     def _guess(self, right: Array) -> Array:
@@ -185,7 +185,7 @@ class TapedTangent:
         size[size == 0.0] = 1.0
         square = sums[:, :-1] / np.outer(size, size)
         weights = np.linalg.lstsq(square, sums[:, -1] / size, rcond=1e-12)[0] / size
-        return np.column_stack(self._known) @ self._comm.bcast(weights)
+        return np.column_stack(self._solutions) @ self._comm.bcast(weights)
 
     def follow(
         self, operator: Operator, x: Array, kept: Array, pair: object = None, even: float = 0.0
@@ -207,12 +207,12 @@ class TapedTangent:
         rest, least = residual.values - kept, ROUNDING * residual.reference
         if self.norm(rest) <= least:
             return x, True
-        found, settled = self._follow(operator, x, kept, rest, least, pair, even)
+        found, converged = self._follow(operator, x, kept, rest, least, pair, even)
         if not self._linear.direct:
             change = x - found
             self._learn(change, rest)
             self._spare.changes.append(change)
-        return found, settled
+        return found, converged
 
     def _follow(
         self, operator: Operator, x: Array, kept: Array, rest: Array, least: float, pair: object,
@@ -228,11 +228,11 @@ class TapedTangent:
         first = self.norm(rest)
         if self.exact:
             x = x - self._solve(operator, rest, self._left)
-            known = self.corrections.get(pair)
-            if known is not None:
-                return self._again(operator, x, kept, *known)
+            corrections = self.corrections.get(pair)
+            if corrections is not None:
+                return self._again(operator, x, kept, *corrections)
             bound = max(max(_ABOVE * self._left, even) * first, NOISE * least)
-            return self._settle(operator, x, kept, (first, bound, least), pair)
+            return self._iterate(operator, x, kept, (first, bound, least), pair)
         if self._linear is self._lender and self._lender.version != self._version:
             self._assemble(operator)
         x, former = x - self._solve(operator, rest, _FIRST), first
@@ -255,13 +255,13 @@ class TapedTangent:
             norm = self.norm(rest)
             if norm <= bound:
                 return x, True
-        x = x - self._own(operator, rest, min(DIGITS * first / norm, _FIRST))
+        x = x - self._solve_here(operator, rest, min(DIGITS * first / norm, _FIRST))
         bound = max(_ABOVE * DIGITS * first, NOISE * least)
-        return self._settle(operator, x, kept, (norm, bound, least), None, own=True)
+        return self._iterate(operator, x, kept, (norm, bound, least), None, here=True)
 
-    def _settle(
+    def _iterate(
         self, operator: Operator, x: Array, kept: Array, sizes: tuple[float, float, float],
-        pair: object, own: bool = False,
+        pair: object, here: bool = False,
     ) -> tuple[Array, bool]:  # fmt: skip
         """Correct unknowns while the tangent lets forces remain. Collective.
 
@@ -272,13 +272,13 @@ class TapedTangent:
             operator, x, kept, pair: See `follow`.
             sizes: Norm of the forces before the last solution, the norm that may remain, and that
                 of their rounding (N).
-            own: Whether the tangent is assembled at the unknowns of this run.
+            here: Whether the tangent is assembled at the unknowns of this run.
 
         Returns:
             The unknowns, and whether little enough remains.
         """
         former, bound, least = sizes
-        count, settled = 0, True
+        count, converged = 0, True
         while True:
             rest = operator.residual(x).values - kept
             norm = self.norm(rest)
@@ -286,34 +286,34 @@ class TapedTangent:
                 break
             share = norm / former
             if not share <= CONTRACTS or count == MOST:
-                if own or not np.isfinite(norm):
-                    settled = norm <= NOISE**2 * least
+                if here or not np.isfinite(norm):
+                    converged = norm <= NOISE**2 * least
                     break
                 # a run on the other side of a kink has another tangent
-                own, share = True, 0.5
+                here, share = True, 0.5
             digits = min(max(0.1 * bound / norm, DIGITS), 0.1)
-            solve = self._own if own else self._solve
+            solve = self._solve_here if here else self._solve
             x, former, count = x - solve(operator, rest, digits), norm, count + 1
             # what remains follows from the share that the tangent leaves
             if share * norm <= 0.3 * bound:
                 break
         if pair is not None:
-            self.corrections[pair] = count, settled
-        return x, settled
+            self.corrections[pair] = count, converged
+        return x, converged
 
     def _again(
-        self, operator: Operator, x: Array, kept: Array, count: int, settled: bool
+        self, operator: Operator, x: Array, kept: Array, count: int, converged: bool
     ) -> tuple[Array, bool]:
         """Correct unknowns as often as those of the first run of a pair. Collective.
 
         Args:
             operator, x, kept: See `follow`.
             count: Number of corrections.
-            settled: Whether little enough remained.
+            converged: Whether little enough remained.
         """
         for _ in range(count):
             x = x - self._solve(operator, operator.residual(x).values - kept, 0.1 * DIGITS)
-        return x, settled
+        return x, converged
 
     def norm(self, values: Array) -> float:
         """Norm of the owned values of all ranks, shape (owned,). Collective."""

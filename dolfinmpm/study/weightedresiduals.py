@@ -38,7 +38,7 @@ class WeightedResiduals:
 
     Attributes:
         trace: Rows of the trace.
-        count: Number n of the measurements that count, which have residuals.
+        size: Number n of the measurements that count, which have residuals.
         unit: Unit of the residuals: the largest weighted measurement, or the largest weighted
             figure of the first run if all measurements are zero. So weights have no effect on
             where iterations end.
@@ -54,11 +54,11 @@ class WeightedResiduals:
         self._compared = {"measured": measured, "weights": weights, **settings}
         # a residual of weight zero would be a degree of freedom that tells nothing
         self._keep = {k: np.isfinite(v) & (weights[k] > 0) for k, v in measured.items()}
-        self.count = sum(int(keep.sum()) for keep in self._keep.values())
+        self.size = sum(int(keep.sum()) for keep in self._keep.values())
         self.unit = self._largest(measured)
         self.trace: list[dict[str, Any]] = []
         self._comm: MPI.Intracomm = MPI.COMM_SELF
-        self._known: dict[bytes, tuple[Array, Array, dict[str, Array]]] = {}
+        self._last: dict[bytes, tuple[Array, Array, dict[str, Array]]] = {}
 
     def _largest(self, values: Mapping[str, Array]) -> float:
         """Largest weighted value where a measurement counts."""
@@ -106,14 +106,14 @@ class WeightedResiduals:
         """
         # all ranks must take the same way to the last bit
         x = np.asarray(self._comm.bcast(x))
-        if x.tobytes() not in self._known:
-            self._known = {x.tobytes(): self._new(x)}
-        return self._known[x.tobytes()]
+        if x.tobytes() not in self._last:
+            self._last = {x.tobytes(): self._new(x)}
+        return self._last[x.tobytes()]
 
     def _new(self, x: Array) -> tuple[Array, Array, dict[str, Array]]:
         m, failed, figures = self.at(x), "", {}
         scales = {k: self._sizes[k] for k, value in self._start.items() if value <= 0}
-        residuals, slopes = np.full(self.count, np.inf), np.full((self.count, x.size), np.nan)
+        residuals, slopes = np.full(self.size, np.inf), np.full((self.size, x.size), np.nan)
         try:
             found = differentiate(self._built, m, scales=scales)
         except (ConvergenceError, PointsOutsideGridError, StateError) as error:

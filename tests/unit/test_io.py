@@ -25,7 +25,8 @@ from vtkmodules.vtkIOXML import (
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io import ParaView, figure, plot
-from dolfinmpm.io.plots import grid_lines, label_of, scalar_of
+from dolfinmpm.io.gridlines import grid_lines
+from dolfinmpm.io.plots import label_of, scalar_of
 from dolfinmpm.io.scene import _stretched
 
 COMM = MPI.COMM_WORLD

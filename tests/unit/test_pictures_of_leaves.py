@@ -9,7 +9,7 @@ from test_io import array, listed, read
 
 import dolfinmpm as mpm
 from dolfinmpm.io.frames import Series
-from dolfinmpm.io.plots import grid_lines, lines_of_boxes
+from dolfinmpm.io.gridlines import grid_lines, lines_of_boxes
 
 
 class Block:

@@ -347,7 +347,7 @@ def test_a_checkpoint_of_other_levels_keeps_leaves_at_their_places(there, here, 
     with pytest.warns(mpm.errors.DifferentProblemWarning, match="leaves of field 1: "):
         second.load(tmp_path / "run.npz")
     if there and here:
-        held = second.fields[0].space.refinement._held
+        held = second.fields[0].space.refinement._former
         now = edges(first.fields[0].space.refinement.leaves, min(there, here))
         assert edges(held, here) == now
     second.step()
