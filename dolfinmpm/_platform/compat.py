@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import cpp, fem, graph, jit, la, mesh
+from dolfinx import fem, graph, jit, mesh
 from dolfinx.common import IndexMap
-from dolfinx.fem.forms import get_integration_domains
 from petsc4py import PETSc
 from ufl.algorithms import apply_restrictions as restrictions
 from ufl.corealg.map_dag import map_expr_dag
@@ -181,21 +180,6 @@ def create_form(compiled, spaces, grid, subdomains, coefficients, constants) -> 
         {c: c for c in coefficients},
         {c: c for c in constants},
     )
-
-
-def integration_domains(kind, subdomain_data, ids):
-    """Entities of the given subdomain ids, as DOLFINx's forms take them."""
-    return get_integration_domains(kind, subdomain_data, ids)
-
-
-def pack_coefficients(form: fem.Form) -> dict[Any, npt.NDArray[np.float64]]:
-    """Coefficients of a form as its kernels take them, a row each entity, by kind and id."""
-    return cpp.fem.pack_coefficients(form._cpp_object)
-
-
-def create_matrix(form: fem.Form) -> la.MatrixCSR:
-    """Matrix of a bilinear form with the sparsity of its own entities."""
-    return fem.create_matrix(form)
 
 
 @functools.cache

@@ -111,11 +111,10 @@ class Stage:
             if outer is not self:
                 clock.turn(outer)
 
-    def __enter__(self) -> None:
-        self.enter()
-
     def __exit__(self, *exception: object) -> None:
         self.leave()
+
+    __enter__ = enter
 
     def __call__(self, function: Function) -> Function:
         @functools.wraps(function)

@@ -10,17 +10,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import cpp, fem
 from dolfinx.fem import IntegralType
+from dolfinx.fem.forms import get_integration_domains
 from mpi4py import MPI
 
-from dolfinmpm._platform.compat import (
-    compile_form,
-    create_form,
-    create_matrix,
-    integration_domains,
-    pack_coefficients,
-)
+from dolfinmpm._platform.compat import compile_form, create_form
 from dolfinmpm.assembly.facetpenalties import INTERVALS, MeshPairs, by_ratio
 from dolfinmpm.assembly.facettensors import facet_moduli
 from dolfinmpm.assembly.leafcellblock import LeafCellBlock
@@ -73,7 +68,7 @@ class _CompiledForm:
             numbers = sorted({i for i in ids if i not in own})
             domains = self._fixed.setdefault(_KINDS[kind], [])
             if numbers:
-                found = integration_domains(_KINDS[kind], data[kind][0], numbers)
+                found = get_integration_domains(_KINDS[kind], data[kind][0], numbers)
                 known = {number for number, _ in domains}
                 domains += [(number, rows) for number, rows in found if number not in known]
         groups = [integral.subdomain_id() for integral in form.integrals()]
@@ -112,7 +107,7 @@ class _CompiledForm:
         )
         self._columns = [self._columns_of(modulus) for modulus in self._moduli]
         if len(spaces) == 2:
-            self._matrix = create_matrix(self._form)
+            self._matrix = fem.create_matrix(self._form)
             A, n = self._matrix, int(self._matrix.indptr[-1])
             self.rows, self.columns = np.empty(n, np.int32), np.empty(n, np.int32)
             _entries(A.indptr, A.indices, self.rows, self.columns)
@@ -149,7 +144,7 @@ class _CompiledForm:
         packed = []
         for value in (1.0, 0.0):
             modulus.x.array[:] = value
-            packed.append(pack_coefficients(self._form))
+            packed.append(cpp.fem.pack_coefficients(self._form._cpp_object))
         found = {}
         for key, rows in packed[0].items():
             differs = rows != packed[1][key]
@@ -161,7 +156,7 @@ class _CompiledForm:
         """Packed coefficients with the moduli of the facets; None for a form without moduli."""
         if not self._moduli:
             return None
-        packed = pack_coefficients(self._form)
+        packed = cpp.fem.pack_coefficients(self._form._cpp_object)
         for modulus, columns in zip(self._moduli, self._columns):
             for key, at in columns.items():
                 rows = packed[key]

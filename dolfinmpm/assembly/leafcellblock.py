@@ -16,7 +16,7 @@ from dolfinx import fem, mesh
 from dolfinx.fem import IntegralType
 from mpi4py import MPI
 
-from dolfinmpm._platform.compat import compile_form, create_form, create_matrix
+from dolfinmpm._platform.compat import compile_form, create_form
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm.assembly.leaffacetblock import only_over
 from dolfinmpm.basis import LeafBasis
@@ -109,7 +109,7 @@ class LeafCellBlock:
             self._compiled, [V, V], leaves, {IntegralType.cell: [(ACTIVE_CELLS, every)]}, [],
             self.constants,
         )  # fmt: skip
-        self._matrix = create_matrix(self._form)
+        self._matrix = fem.create_matrix(self._form)
         row_of = np.repeat(np.arange(len(node_of)), np.diff(self._matrix.indptr))
         pairs = node_of[row_of].astype(np.int64) * basis.nodes.size + node_of[self._matrix.indices]
         keys, self._entry = np.unique(pairs, return_inverse=True)

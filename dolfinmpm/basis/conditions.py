@@ -117,6 +117,13 @@ def _chosen(space: Space, where: Callable) -> npt.NDArray[np.int32]:
     return np.flatnonzero(chosen).astype(np.int32)
 
 
+def _extent(comm: MPI.Intracomm, x: npt.NDArray[np.float64]) -> tuple[Any, Any]:
+    """Lowest and highest coordinates on all ranks (m). Collective."""
+    low = np.min(comm.allgather(x.min(axis=0, initial=math.inf)), axis=0)
+    high = np.max(comm.allgather(x.max(axis=0, initial=-math.inf)), axis=0)
+    return low, high
+
+
 def _nodes(
     space: Space, where: Where, may_be_empty: bool = False
 ) -> tuple[npt.NDArray[np.int32], str]:
@@ -125,20 +132,16 @@ def _nodes(
     comm, gdim = space.grid.comm, space.grid.geometry.dim
     if not callable(where):
         name, axis, end = side_of(where, gdim)
-        low = min(comm.allgather(x[:, axis].min(initial=math.inf)))
-        high = max(comm.allgather(x[:, axis].max(initial=-math.inf)))
+        low, high = _extent(comm, x[:, axis])
         chosen = np.abs(x[:, axis] - (low, high)[end]) <= 1e-9 * (high - low)
         return np.flatnonzero(chosen).astype(np.int32), name
     nodes = call_together(comm, lambda: _chosen(space, where))
-    low = np.min(comm.allgather(x[nodes].min(axis=0, initial=math.inf)), axis=0)
-    high = np.max(comm.allgather(x[nodes].max(axis=0, initial=-math.inf)), axis=0)
+    low, high = _extent(comm, x[nodes])
     name = getattr(where, "__name__", "<lambda>")
     if may_be_empty and name == "<lambda>":
         return nodes, "a place that follows"
     if not may_be_empty and not np.isfinite(low).all():
-        corners = x.min(axis=0, initial=math.inf), x.max(axis=0, initial=-math.inf)
-        low = np.min(comm.allgather(corners[0]), axis=0)
-        high = np.max(comm.allgather(corners[1]), axis=0)
+        low, high = _extent(comm, x)
         raise ParameterError(
             f"'{name}' chooses no node of the grid; the nodes lie from {low} to {high} m: check "
             "the coordinates, and compare them with np.isclose"

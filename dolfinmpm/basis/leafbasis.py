@@ -25,7 +25,7 @@ from dolfinmpm.basis.leafstencils import (
     starts_of_lists,
 )
 from dolfinmpm.basis.stencils import Placement, Stencils, running_sum, stencil_matrix
-from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.grid.halo import Numbering, dilated
 from dolfinmpm.grid.lattice import Lattice, once_per_grid
 from dolfinmpm.grid.leafnodes import LeafNodes
 from dolfinmpm.grid.leaves import Leaves
@@ -105,12 +105,7 @@ class LeafBasis:
         else:
             cells = np.indices(shape, np.int32).reshape(len(shape), -1).T
             owner = self.partition.rank_of(cells).reshape(shape)
-        mask = owner == comm.rank
-        for d in range(len(shape)):
-            for _ in range(max(self.layers, 1)):
-                wide = np.pad(mask, [(1, 1) if d == e else (0, 0) for e in range(len(shape))])
-                windows = np.lib.stride_tricks.sliding_window_view(wide, 3, d)
-                mask = np.asarray(windows.any(axis=-1))
+        mask = dilated(owner == comm.rank, max(self.layers, 1))
         mask[tuple(self.lattice.cell_ijk.T)] = True
         at = tuple(root.T)
         return owner[at], mask[at]

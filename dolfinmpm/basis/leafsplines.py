@@ -111,8 +111,8 @@ class LeafSplines:
         of, at_lines = chosen[order, 0].astype(np.int32), chosen[order, 1:].astype(np.int32)
         corners = number[corner.ravel()].reshape(-1, len(offsets))
         first = (at[order] // len(offsets)).astype(np.int32)
-        found = _coefficients(leaves, degree, (of, at_lines), of, at_lines)
-        return cls(of, at_lines, corners, first, found.hanging, found.matrix)
+        hanging, matrix = _coefficients(leaves, degree, (of, at_lines), of, at_lines)
+        return cls(of, at_lines, corners, first, hanging, matrix)
 
     def at(self, leaves: Leaves, level: Ints, index: Ints) -> sparse.csr_matrix:
         """Coefficients of splines of any level from those of these splines, shape (n, splines).
@@ -123,7 +123,7 @@ class LeafSplines:
                 the leaves or splines of them.
         """
         own = self.level, self.index
-        return _coefficients(leaves, self._degree, own, level, index).matrix
+        return _coefficients(leaves, self._degree, own, level, index)[1]
 
     @property
     def _degree(self) -> int:
@@ -190,22 +190,9 @@ def _parents(table: list[Parents], index: Ints) -> tuple[npt.NDArray[np.intp], I
     return rows, parents, weights
 
 
-@dataclass(frozen=True)
-class _Coefficients:
-    """Coefficients of some splines from those of the independent splines of leaves.
-
-    Attributes:
-        hanging: Mask of the splines that hang, shape (n,).
-        matrix: The coefficients, shape (n, splines of leaves).
-    """
-
-    hanging: npt.NDArray[np.bool_]
-    matrix: sparse.csr_matrix
-
-
 def _coefficients(
     leaves: Leaves, degree: int, own: tuple[Ints, Ints], level: Ints, index: Ints
-) -> _Coefficients:
+) -> tuple[npt.NDArray[np.bool_], sparse.csr_matrix]:
     """Coefficients of splines of any level and position.
 
     Args:
@@ -245,7 +232,7 @@ def _coefficients(
         coarser, before = rows.tocsr(), keys
     matrix = sparse.vstack(pieces).tocsr()[np.argsort(np.concatenate(asked), kind="stable")]
     matrix.sort_indices()
-    return _Coefficients(hanging, matrix)
+    return hanging, matrix
 
 
 def _ancestors(

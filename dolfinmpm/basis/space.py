@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,17 +41,12 @@ Basis = LatticeBasis | LinearBasis
 _DEGREES = {"linear": 1, "gimp": 1, "bspline2": 2, "bspline3": 3}
 
 
-@dataclass(frozen=True)
-class _BasisOnGrid:
-    """A basis, and the scalar Lagrange space of the same degree."""
-
-    basis: Basis
-    lagrange: fem.FunctionSpace
-
-
 @once_per_grid
-def _basis_of(grid: Mesh, name: str, averaged: bool, coarsen: int) -> _BasisOnGrid:
-    """The basis with this name on the grid, shared by all fields that use it. Collective."""
+def _basis_of(grid: Mesh, name: str, averaged: bool, coarsen: int) -> tuple[Basis, Any]:
+    """The basis with this name, shared by all fields on the grid that use it, and the scalar space.
+
+    The space is DOLFINx's of the same degree. Collective.
+    """
     degree = _DEGREES[name]
     scalar = fem.functionspace(grid, ("Lagrange", degree))
     if name != "linear":
@@ -62,11 +56,11 @@ def _basis_of(grid: Mesh, name: str, averaged: bool, coarsen: int) -> _BasisOnGr
     node_map, x = scalar.dofmap.index_map, scalar.tabulate_dof_coordinates()
     lattice = lattice_of(grid)
     if lattice is None:
-        return _BasisOnGrid(LinearBasis(grid, node_map, scalar.dofmap.list, x), scalar)
+        return LinearBasis(grid, node_map, scalar.dofmap.list, x), scalar
     if degree > 1 or coarsen > 1:
-        return _BasisOnGrid(lattice_basis(grid, degree, averaged, coarsen), scalar)
+        return lattice_basis(grid, degree, averaged, coarsen), scalar
     ijk = lattice.index(x[:, : grid.geometry.dim])
-    return _BasisOnGrid(LatticeBasis(grid, lattice, degree, averaged, node_map, ijk), scalar)
+    return LatticeBasis(grid, lattice, degree, averaged, node_map, ijk), scalar
 
 
 def _check_multiples(lattice: Lattice, coarsen: int) -> None:
@@ -325,8 +319,8 @@ class Space:
             self.refinement = self._refined(refine, levels)
         elif per_cell is not None:
             refuse_idle("per_cell", per_cell, 2, "it is of leaves: give refine= and levels=")
-        on_grid = _basis_of(grid, basis, averaged and basis != "linear", self.coarsen)
-        self.basis: Basis = on_grid.basis
+        self.basis: Basis
+        self.basis, scalar = _basis_of(grid, basis, averaged and basis != "linear", self.coarsen)
         element = (
             ("Lagrange", self.basis.degree, shape) if shape else ("Lagrange", self.basis.degree)
         )
@@ -337,7 +331,7 @@ class Space:
         self.test = ufl.TestFunction(self.function_space)
         self.number = next_number(grid, "spaces")
         # points, DOLFINx's assemblers and the solver share one numbering of the nodes
-        if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
+        if not np.array_equal(self.function_space.dofmap.list, scalar.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")
 
     def _refined(self, refine: Any, levels: Any) -> Refinement | None:

@@ -82,6 +82,14 @@ class LatticeHalo:
     cell_table: npt.NDArray[np.int32]
 
 
+def dilated(mask: npt.NDArray[np.bool_], layers: int) -> npt.NDArray[np.bool_]:
+    """Mask of the cells within some layers of the cells of a mask, also across corners."""
+    from scipy.ndimage import binary_dilation
+
+    box = np.ones((2 * layers + 1,) * mask.ndim, bool)
+    return np.asarray(binary_dilation(mask, box))
+
+
 def _directory(comm, keys, values, wanted):
     """Values of the wanted keys on any rank, and the ranks that have these keys. Collective.
 
@@ -164,10 +172,7 @@ def build_halo(
         stop = np.minimum(known.max(axis=0) + 1 + layers, shape)
         mask: npt.NDArray[np.bool_] = np.zeros(stop - origin, bool)
         mask[tuple((own - origin).T)] = True
-        for d in range(gdim if layers else 0):
-            wide = np.pad(mask, [(layers, layers) if d == e else (0, 0) for e in range(gdim)])
-            windows = np.lib.stride_tricks.sliding_window_view(wide, 2 * layers + 1, d)
-            mask = np.asarray(windows.any(axis=-1))
+        mask = dilated(mask, layers)
         mask[tuple((further - origin).T)] = True
         node_mask = np.zeros(stop - origin + degree, bool)
         for corner in np.ndindex(*(degree + 1,) * gdim):

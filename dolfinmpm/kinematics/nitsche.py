@@ -250,10 +250,22 @@ def dirichlet(
         markers.add_field(TRACE, (), "Pa/m")
         for name in (f"{TRACE}_x", f"{TRACE}_cell"):
             markers.add_field(name, (d,), "m")
+    return condition_form(condition, term, "the condition (mpm.dirichlet)")
+
+
+def condition_form(condition: Any, term: Expr, what: str) -> ufl.Form:
+    """The term of a condition at its boundary, with the condition in its metadata.
+
+    Args:
+        condition: The condition, a `WeakCondition` or a `Wall`.
+        term: The integrand.
+        what: Its name in messages.
+    """
+    boundary, declaration = condition.boundary, condition.declaration
     mark = {**boundary.ds.metadata(), "condition": condition}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)
-    return signed_form(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
+    return signed_form(term, ds, f"{what} at '{boundary.name}'")
 
 
 def _checked(penalty: Any, stiffness_per_area: Any, usual: float | None) -> float | None:

@@ -38,12 +38,12 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import LARGEST_FRICTION, friction_coefficient
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
-from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.markerstate import keys_of, nearest
-from dolfinmpm.forms.declarations import Declaration, subdomain
+from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.lawterms import flux
+from dolfinmpm.kinematics.nitsche import condition_form
 from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.kinematics.walltractions import WallTractions
 from dolfinmpm.materials.base import Law
@@ -343,7 +343,4 @@ def signorini(
         k.name, updates, u, weight, scale,
     )  # fmt: skip
     wall.act(False, None)
-    mark = {**boundary.ds.metadata(), "condition": wall}
-    tags = None if declaration is None else declaration.tags
-    ds = boundary.ds(subdomain(tags), metadata=mark)
-    return signed_form(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")
+    return condition_form(wall, -ufl.dot(traction, v), "the wall (mpm.signorini)")

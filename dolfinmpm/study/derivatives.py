@@ -191,7 +191,8 @@ def differentiate(
         if isinstance(problem, QuasiStatic):
             record(problem, tape)
     both = base.needs_both or estimate if central is None else central
-    first = _epsilon(base, both) if epsilon is None else epsilon
+    usual = (base.rough or CENTRAL) if both else ONE_SIDED
+    first = usual if epsilon is None else epsilon
 
     def pair(name: str, epsilon: float) -> FollowingRuns:
         change = _change(name, parameters[name], sizes[name], epsilon)
@@ -296,18 +297,6 @@ def _rounded(base: FollowedRun, pairs: Sequence[FollowingRuns]) -> list[str]:
         f"them by {moved:.1g} m: derivatives may have errors of {lost / moved:.0e}; larger "
         "perturbations have more digits, such as central=True with epsilon=1e-5"
     ]
-
-
-def _epsilon(base: FollowedRun, both: bool) -> float:
-    """The perturbation by default, as a share of the parameters' sizes.
-
-    Args:
-        base: The run.
-        both: Whether two runs per parameter begin at once.
-    """
-    if not both:
-        return ONE_SIDED
-    return base.rough or CENTRAL
 
 
 def _change(name: str, value: float, size: float, epsilon: float) -> float:

@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
-from mpi4py import MPI
-
 from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import (
     ConvergenceError,
-    DegreesWarning,
     ParameterError,
     PointsOutsideGridError,
-    warn,
 )
+from dolfinmpm._platform.units import warn_of_radians
 from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -52,13 +49,7 @@ def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> t
         raise ParameterError(
             f"friction_angle = {friction_angle} degrees must be from 0 to below 90"
         )
-    if math.radians(1.0) <= friction_angle < 1.0:
-        warn(
-            MPI.COMM_WORLD,
-            f"friction_angle = {friction_angle:g} degrees is below 1 degree; if you mean radians, "
-            f"give {math.degrees(friction_angle):.4g}",
-            DegreesWarning,
-        )
+    warn_of_radians("friction_angle", friction_angle)
     return cohesion / factor, float(reduced_angle(friction_angle, factor))
 
 
@@ -212,7 +203,14 @@ class _FromStart:
     def __call__(self, factor: float) -> Trial:
         growth, elastic = self._growth, self._elastic
         steps, iterations, displacement, grown, reason = 0, 0, 0.0, 1.0, ""
-        for problem in _steps(self._loading, factor):
+        problems = self._loading(factor)
+        if not isinstance(problems, Iterable):
+            raise ParameterError(
+                f"loading({factor:g}) returned {shown(problems)} and must be a generator function "
+                "of the factor: for every step of the load it sets the load and has `yield "
+                "problem`, not `return problem`"
+            )
+        for problem in problems:
             if not callable(getattr(problem, "step", None)):
                 raise ParameterError(
                     f"the loading yields {shown(problem)}, and should yield the problem in every "
@@ -248,19 +246,3 @@ class _FromStart:
         if self._elastic is None and not reason:
             self._elastic = displacement / (grown * steps)
         return Trial(factor, not reason, reason, steps, displacement, grown, iterations)
-
-
-def _steps(loading: Loading, factor: float) -> Iterable[QuasiStatic]:
-    """The problems that a loading yields, one per step.
-
-    Raises:
-        ParameterError: The loading is no generator.
-    """
-    found = loading(factor) if callable(loading) else loading
-    if not isinstance(found, Iterable):
-        what = f"loading({factor:g}) returned {shown(found)}" if callable(loading) else "loading"
-        raise ParameterError(
-            f"{what} and must be a generator function of the factor: for every step of the load it "
-            "sets the load and has `yield problem`, not `return problem`"
-        )
-    return found
