@@ -18,7 +18,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = [
-    "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates",
+    "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates", "cut",
     "file_path", "floats", "number", "refuse_idle", "shown", "truth", "whole",
 ]  # fmt: skip
 
@@ -42,8 +42,13 @@ def shown(value: Any) -> str:
     plain = isinstance(value, (str, bool, int, float, complex, type(None)))
     if not plain and not (isinstance(value, np.ndarray) and value.size <= 9):
         return f"a {type(value).__name__}"
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."
+    return cut(repr(value), 80)
+
+
+def cut(text: str, most: int = 200) -> str:
+    """A text in one line for a message, with at most so many characters."""
+    text = " ".join(text.split())
+    return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def check_kind(what: str, value: Any, kind: type, advice: str) -> None:

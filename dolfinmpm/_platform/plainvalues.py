@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from dolfinmpm._platform.argumentchecks import cut
+
 __all__ = ["PlainValues", "as_text", "difference", "digest", "equal_up_to_rounding", "plain_value"]
 
 # Names and plain values: numbers, words, None, and tuples of them
@@ -143,5 +145,4 @@ def _is_number(value: Any) -> bool:
 
 def as_text(plain: Any) -> str:
     """Plain values as text for a message; a long text is cut."""
-    text = " ".join(repr(plain).split())
-    return text if len(text) <= 200 else text[:197] + "..."
+    return cut(repr(plain))

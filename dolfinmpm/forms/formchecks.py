@@ -278,9 +278,8 @@ def _check_restricted(integral: Any) -> None:
         text = str(error)
         if "restrict" not in text:
             raise
-        term = str(integral.integrand())
         raise FormError(
-            f"the term '{term if len(term) <= 200 else term[:197] + '...'}' on inner facets has "
+            f"the term '{brief(integral.integrand())}' on inner facets has "
             "a part that differs between the two sides of a facet, or is restricted twice "
             f"({text.rstrip('.')}): write v('+'), ufl.jump(v) or ufl.avg(v) for v"
         ) from None

@@ -10,7 +10,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.classes import Curl, Div, Grad, NablaDiv, NablaGrad, Sum
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind, cut
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.operators import PointOperator
 
@@ -37,8 +37,7 @@ SPATIAL_DERIVATIVES = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 def brief(expression: Expr) -> str:
     """An expression as text for messages, at most 200 characters."""
-    text = str(expression)
-    return text if len(text) <= 200 else text[:197] + "..."
+    return cut(str(expression))
 
 
 def summands(expression: Expr) -> Iterator[Expr]:

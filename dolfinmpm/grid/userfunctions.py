@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import floats, shown
+from dolfinmpm._platform.argumentchecks import cut, floats, shown
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 __all__ = ["call_function", "choose"]
@@ -33,11 +33,9 @@ def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
     except DolfinMPMError:
         raise  # the message is clear already
     except Exception as error:
-        text = " ".join(str(error).split())
-        text = text if len(text) <= 200 else text[:197] + "..."
         raise ParameterError(
-            f"{what} failed with {type(error).__name__}: {text}; it is called with one array of "
-            f"positions (m) of shape ({d}, {n}), one row per coordinate"
+            f"{what} failed with {type(error).__name__}: {cut(str(error))}; it is called with one "
+            f"array of positions (m) of shape ({d}, {n}), one row per coordinate"
         ) from error
 
 

@@ -91,24 +91,15 @@ def _drucker_prager(parameters, strain, old, new, stress, tangent):
     return 0
 
 
-def cone_slope(angle: Array, fit: str) -> Array:
-    """η of the cone that fits Mohr–Coulomb's pyramid of this angle (rad)."""
-    sine = np.sin(angle)
-    if fit == "compression":
-        return 6.0 * sine / (math.sqrt(3.0) * (3.0 - sine))
-    if fit == "extension":
-        return 6.0 * sine / (math.sqrt(3.0) * (3.0 + sine))
-    return math.sqrt(3.0) * sine / np.sqrt(3.0 + sine**2)
-
-
-def cone_strength(angle: Array, fit: str) -> Array:
-    """ξ of the cone that fits Mohr–Coulomb's pyramid of this angle (rad)."""
+def cone(angle: Array, fit: str) -> tuple[Array, Array]:
+    """η and ξ of the cone that fits Mohr–Coulomb's pyramid of this angle (rad)."""
     sine, cosine = np.sin(angle), np.cos(angle)
-    if fit == "compression":
-        return 6.0 * cosine / (math.sqrt(3.0) * (3.0 - sine))
-    if fit == "extension":
-        return 6.0 * cosine / (math.sqrt(3.0) * (3.0 + sine))
-    return math.sqrt(3.0) * cosine / np.sqrt(3.0 + sine**2)
+    if fit in ("compression", "extension"):
+        above = 6.0
+        below = math.sqrt(3.0) * (3.0 - sine if fit == "compression" else 3.0 + sine)
+    else:
+        above, below = math.sqrt(3.0), np.sqrt(3.0 + sine**2)
+    return above * sine / below, above * cosine / below
 
 
 class DruckerPrager(Law):
@@ -212,12 +203,8 @@ class DruckerPrager(Law):
     def completed(self, parameters: Array) -> Array:
         """The parameters of the kernel: the declared ones, then η, ξ and η̄."""
         friction, dilation = np.radians(parameters[:, 3]), np.radians(parameters[:, 4])
-        cone = (
-            cone_slope(friction, self.fit),
-            cone_strength(friction, self.fit),
-            cone_slope(dilation, self.fit),
-        )
-        return np.column_stack([parameters, *cone])
+        eta_flow, _ = cone(dilation, self.fit)
+        return np.column_stack([parameters, *cone(friction, self.fit), eta_flow])
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """f = √J₂ + η p − ξ (c + H ε̄ᵖ) (Pa), shape (n,); see `Law.yield_function`."""

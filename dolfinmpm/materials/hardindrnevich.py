@@ -9,7 +9,7 @@ import numpy as np
 from dolfinmpm._platform.argumentchecks import number, refuse_idle, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.cyclickernel import PROPERTIES, cyclic_address
-from dolfinmpm.materials.druckerprager import cone_slope, cone_strength
+from dolfinmpm.materials.druckerprager import cone
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
 from dolfinmpm.materials.umat import UMAT
 
@@ -131,9 +131,8 @@ class HardinDrnevich(UMAT):
         angle, c = math.radians(self.friction_angle), self.cohesion
         strength, slope, attraction = math.inf, 0.0, 0.0
         if math.isfinite(c):
-            one = np.array([angle])
-            strength = c * float(cone_strength(one, "plane strain")[0])
-            slope = float(cone_slope(one, "plane strain")[0])
+            eta, xi = cone(np.array([angle]), "plane strain")
+            slope, strength = float(eta[0]), c * float(xi[0])
             attraction = c / math.tan(angle) if angle > 0.0 else 0.0
         found = {
             "modulus": self.G, "bulk_share": 2 * (1 + self.nu) / (3 * (1 - 2 * self.nu)),

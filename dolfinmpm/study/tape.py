@@ -230,6 +230,19 @@ class Reader:
         if changed:
             self.off.append(f"{changed} contact points begin or end to touch or slip")
 
+    def arrive(self, stage: TapedStep, operator: Operator, x: Array) -> Outcome:
+        """Set the increments, compare contacts with those on the tape, and end. Collective.
+
+        Args:
+            stage: The solution on the tape.
+            operator: The equations of the run.
+            x: Its unknowns, shape (owned,).
+        """
+        operator.move(x)
+        operator.update_contact()
+        self.compare(stage, operator)
+        return Outcome(None, x, stage.outcome.iterations, list(stage.outcome.residuals))
+
 
 class RecordedNewton(Newton):
     """Newton's method that keeps its solutions on a tape."""
@@ -266,10 +279,7 @@ class FollowingNewton(Newton):
             reader = self.reader
             x, converged = stage.tangent.follow(operator, x, stage.force, reader.pair, reader.even)
             reader.converged &= converged
-        operator.move(x)
-        operator.update_contact()
-        self.reader.compare(stage, operator)
-        return Outcome(None, x, known.iterations, list(known.residuals))
+        return self.reader.arrive(stage, operator, x)
 
     def anew(self, softened: bool = False) -> Newton:
         """See `Newton`; it follows the same tape."""
@@ -308,10 +318,7 @@ class FollowingBordered(Bordered):
         border.move(at.value - border.value)
         operator.update_external()
         x = self._corrected(operator, stage, stage.tangent, at)
-        operator.move(x)
-        operator.update_contact()
-        self.reader.compare(stage, operator)
-        return Outcome(None, x, known.iterations, list(known.residuals))
+        return self.reader.arrive(stage, operator, x)
 
     def _corrected(
         self, operator: Operator, stage: TapedStep, tangent: TapedTangent, at: _BorderAt
