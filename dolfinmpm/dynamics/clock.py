@@ -15,6 +15,8 @@ from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.argumentchecks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.grid.userfunctions import VelocityByTime
 from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord
 
@@ -25,6 +27,7 @@ __all__ = [
     "end_of_step",
     "mean_increment",
     "open_time",
+    "set_velocities",
     "times",
 ]
 
@@ -192,14 +195,24 @@ def check_clock(time: Any, grid: Mesh) -> None:
         )
 
 
-def mean_increment(velocity: Callable[[float], float], step: Step) -> float:
+def mean_increment(velocity: VelocityByTime, step: Step) -> float:
     """Increment of a whole step by the trapezoidal rule (m), for a velocity by time."""
-    start = step.t - step.dt
-    if hasattr(velocity, "mean_velocity"):
-        mean = velocity.mean_velocity(start, step.t)
-    else:
-        mean = 0.5 * (velocity(start) + velocity(step.t))
-    return mean * step.dt / step.share
+    return velocity.mean_velocity(step.t - step.dt, step.t) * step.dt / step.share
+
+
+def set_velocities(
+    conditions: Sequence[Condition], value: Callable[[VelocityByTime], float]
+) -> None:
+    """Set the increments of conditions that prescribe velocities.
+
+    Args:
+        conditions: Conditions. Conditions without a velocity stay unchanged.
+        value: Function from a velocity by time (m/s) to the increment (m).
+    """
+    for condition in conditions:
+        if condition.velocity is not None:
+            assert isinstance(condition.value, fem.Constant)
+            condition.value.value = value(condition.velocity)
 
 
 def end_of_step(t: float | None, now: float, wanted: float | None) -> float:

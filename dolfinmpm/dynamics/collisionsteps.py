@@ -17,21 +17,17 @@ from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.dynamics.bodiesatsides import BodiesAtSides
-from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, NodalContact
-from dolfinmpm.dynamics.energies import stress_volumes
-from dolfinmpm.dynamics.explicitbase import ExplicitBase
-from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.collision import BodiesAtSides, BodyAtNodes, Collision, NodalContact
+from dolfinmpm.dynamics.energies import lateness, mapping_loss, stress_volumes
+from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, Settings
+from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
-from dolfinmpm.dynamics.halfstep import lateness, mapping_loss
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
-from dolfinmpm.solve.step import Step
 
 __all__ = ["CollisionSteps", "collision_error"]
 
@@ -96,10 +92,10 @@ class CollisionSteps(ExplicitBase):
         self._counted = False
 
     @stages.commit
-    def _take(self, step: Step, kick: float) -> int | str:
+    def _take(self, step: ExplicitStep) -> int | str:
         """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
-        points, dt = problem.points, step.dt
+        points, dt, kick = problem.points, step.dt, step.kick
         raise_together(points.comm, points.fault())
         balance(points)
         here = problem.activate(step)
@@ -124,8 +120,7 @@ class CollisionSteps(ExplicitBase):
         touching = self._touching(bodies, here)
         touching.exchange(after)
         external += sides.stop(after)
-        if 2.0 * kick == dt:
-            # the run begins with half a step
+        if step.begins:
             changes = [V_end - V for V, V_end in zip(before, after)]
             self._count_start(bodies, pushed, changes, here)
         new = self._points(stencils, rows, before, after, kick)

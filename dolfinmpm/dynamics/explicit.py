@@ -31,13 +31,14 @@ from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.collisionsteps import CollisionSteps, collision_error
 from dolfinmpm.dynamics.critical import cell_sizes_at, critical_step, exact_step
 from dolfinmpm.dynamics.energybounds import EnergyBalance
-from dolfinmpm.dynamics.explicitcall import ExplicitCall
+from dolfinmpm.dynamics.explicitbase import Settings, checked_courant
+from dolfinmpm.dynamics.explicitcall import CallMemory, ExplicitCall, Snapshot
 from dolfinmpm.dynamics.faces import (
-    Sides,
     ghost_mass_at,
     refuse_constraints,
     split_conditions,
 )
+from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
 from dolfinmpm.dynamics.fused import FusedSteps
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
@@ -46,9 +47,7 @@ from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.smallmass import check_filters
-from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
 from dolfinmpm.forms.formchecks import check_explicit
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of

@@ -14,11 +14,11 @@ from ufl.constantvalue import Zero
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MOTION, MaterialPoints
 from dolfinmpm.cut.essentialconditions import EssentialConditions
+from dolfinmpm.dynamics.explicitbase import Settings
 from dolfinmpm.dynamics.fusedneohookean import stored_energy
 from dolfinmpm.dynamics.fusedumat import UmatCalls, variables_of
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
-from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.grid.constants import is_own

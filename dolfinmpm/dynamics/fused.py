@@ -21,18 +21,17 @@ from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.essentialconditions import EssentialConditions
-from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.energies import lateness
+from dolfinmpm.dynamics.explicitbase import ExplicitStep, Settings
+from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.fusedloop import kernel
-from dolfinmpm.dynamics.halfstep import lateness
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
 from dolfinmpm.dynamics.pointarrays import PointArrays
-from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.window import MARGIN, Prescribed, Window, WindowMeans
-from dolfinmpm.solve.step import Step
 
 __all__ = ["FusedSteps"]
 
@@ -166,7 +165,7 @@ class FusedSteps:
 
     @stages.evaluate
     def run(
-        self, count: int, dt: float, kick: float, more: bool, begin: Callable[[int], Step]
+        self, count: int, more: bool, begin: Callable[[int], ExplicitStep]
     ) -> tuple[int, int, str | None]:
         """Take equal steps; see `ExplicitBase.run`. Collective.
 
@@ -175,15 +174,15 @@ class FusedSteps:
         migrated, reason, taken = 0, None, 0
         *others, main = PASSES[self._settings.scheme]
         while taken < count and reason is None:
-            started, now = begin(taken).t - dt, dt if taken else kick
-            middle = started + 0.5 * dt
-            self._prescribed.drive(middle - now, middle)
+            step = begin(taken)
+            middle = step.start + 0.5 * step.dt
+            self._prescribed.drive(middle - step.kick, middle)
             fresh = not self._worth.live
             if fresh:
                 with stages.activate:
                     if self._window.basis.partition is not self._points.partition:
                         self._surround()
-                        self._prescribed.drive(middle - now, middle)
+                        self._prescribed.drive(middle - step.kick, middle)
                     self._prepare()
                 self._worth.live = True
             elif self._loads.changed():
@@ -194,15 +193,15 @@ class FusedSteps:
                 if fresh:
                     self._arrays.strain()
             if fresh:
-                reason = self._scatter(main, dt)
+                reason = self._scatter(main, step.dt)
             if self._laws.calls is not None:
-                self._laws.calls.moment[0] = started
+                self._laws.calls.moment[0] = step.start
             taken += 1
             last = taken == count
             # the sums of the last step of all would not be used
             ending = last and not more
             if reason is None:
-                reason = self._step(others, main, dt, now, last, not ending)
+                reason = self._step(others, main, step, last, not ending)
             way = self._reach()
             self._worth.travelled += way
             if reason is None and self._rigid is not None:
@@ -321,24 +320,24 @@ class FusedSteps:
         return reason
 
     def _step(
-        self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
+        self, others, main: Pass, step: ExplicitStep, record: bool, scatter: bool
     ) -> str | None:
         """Take one step from the nodal sums. Collective."""
         before = self.done.copy()
-        reason = self._passes(others, main, dt, kick, record, scatter)
+        reason = self._passes(others, main, step, record, scatter)
         if record:
             _, external, _, grid, damped, rubbed, internal, _, _ = self.done - before
             late = self._settings.scheme == "usf"
             self.done[6] = lateness(external - damped - rubbed, internal, grid, late)
-            if kick != dt:
-                self._points["acceleration"] *= dt / kick
+            if step.kick != step.dt:
+                self._points["acceleration"] *= step.dt / step.kick
         return reason
 
     def _passes(
-        self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
+        self, others, main: Pass, step: ExplicitStep, record: bool, scatter: bool
     ) -> str | None:
         """Run the passes of a step, and update the nodes between them. Collective."""
-        switches = Switches(record, scatter=scatter)
+        switches, dt, kick = Switches(record, scatter=scatter), step.dt, step.kick
         window, prescribed, settings = self._window, self._prescribed, self._settings
         d = self._points.gdim
         columns, box = COLUMNS[d], window.rows()
@@ -349,14 +348,14 @@ class FusedSteps:
         )  # fmt: skip
         rigid = self._rigid
         if rigid is not None:
-            rigid.begin(dt, kick, usf)
+            rigid.begin(step, usf)
         # only forces make the points' acceleration, not prescribed motions of nodes
         apart = record and (prescribed.driven or len(self.sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
             divide(box, columns, out, 0, nodes, fixed, before, *weight, False)
             # strains before the forces follow the last motion of the points
-            reason = self._pass(others[0], 2.0 * kick - dt, switches)
+            reason = self._pass(others[0], step.before, switches)
             window.add_up(columns.force, columns.force + d)
             if reason is not None:
                 return reason
@@ -364,8 +363,8 @@ class FusedSteps:
             rigid.press(out, usf)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
-            pushed, self._loads.gravity, dt, kick, settings.scaling, settings.damping, usf,
-            usf or usl, self.done,
+            pushed, self._loads.gravity, dt, kick, step.begins, settings.scaling,
+            settings.damping, usf, usf or usl, self.done,
         )  # fmt: skip
         changes = window.at_points(pushed, self._points) if apart else None
         if not (usf or usl):

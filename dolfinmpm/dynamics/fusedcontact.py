@@ -24,7 +24,8 @@ from dolfinmpm.contact.corners import DisplacementBasis, Rows, longest
 from dolfinmpm.contact.neighbourlist import NeighbourList
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
-from dolfinmpm.dynamics.halfstep import lateness_by_contact
+from dolfinmpm.dynamics.energies import lateness_by_contact
+from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.window import Exchange, Window
@@ -94,21 +95,20 @@ class RigidContacts:
         return found
 
     @stages.activate
-    def begin(self, dt: float, kick: float, before: bool) -> None:
+    def begin(self, step: ExplicitStep, before: bool) -> None:
         """Begin a step: find the corners that may touch in the step. Collective.
 
         Args:
-            dt: Length of the step (s).
-            kick: Time during which forces act on the bodies (s).
+            step: The step.
             before: Whether points strain before the forces, as in "usf". All corners of points
                 near the bodies are then checked, because fields change before the motion is known.
 
         Raises:
             ParameterError: Points are inside a body before the first step.
         """
-        self._bodies.begin(dt)
-        self._dt, self._kick = dt, kick
-        self._strained = 2.0 * kick - dt if before else dt
+        self._bodies.begin(step.dt)
+        self._dt, self._kick = step.dt, step.kick
+        self._strained = step.before if before else step.dt
         self._active = [self._made(near, before) for near in self._near]
 
     def _made(self, near: NeighbourList, all_corners: bool = False) -> ActiveRigidContact:

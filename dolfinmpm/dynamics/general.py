@@ -27,23 +27,27 @@ from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
-from dolfinmpm.dynamics.boundarywork import boundary_forces, works_of_boundaries
+from dolfinmpm.dynamics.clock import set_velocities
 from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
-from dolfinmpm.dynamics.energies import stress_volumes
-from dolfinmpm.dynamics.explicitbase import ExplicitBase
-from dolfinmpm.dynamics.faces import Faces, set_velocities
-from dolfinmpm.dynamics.halfstep import lateness, lateness_by_contact, mapping_loss
+from dolfinmpm.dynamics.energies import lateness, lateness_by_contact, mapping_loss, stress_volumes
+from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep
+from dolfinmpm.dynamics.facesatnodes import Faces
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import viscous_pressure
-from dolfinmpm.dynamics.stepwork import energy_of_start, work_at_nodes, work_of_friction
+from dolfinmpm.dynamics.stepwork import (
+    boundary_forces,
+    energy_of_start,
+    work_at_nodes,
+    work_of_friction,
+    works_of_boundaries,
+)
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.step import Step
 
 __all__ = ["GeneralSteps"]
 
@@ -74,7 +78,7 @@ class GeneralSteps(ExplicitBase):
             self._stiffness = weighed(problem.form, problem.activate())[1]
         return self._stiffness
 
-    def _activated(self, step: Step) -> Activation:
+    def _activated(self, step: ExplicitStep) -> Activation:
         """The activation of a step. Collective."""
         problem = self._problem
         raise_together(problem.points.comm, problem.points.fault())
@@ -86,7 +90,7 @@ class GeneralSteps(ExplicitBase):
         return here
 
     @stages.commit
-    def _take(self, step: Step, kick: float) -> int | str:
+    def _take(self, step: ExplicitStep) -> int | str:
         """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
@@ -96,14 +100,14 @@ class GeneralSteps(ExplicitBase):
         mass = Mass(problem.terms, here, settings.scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         momenta = self._momenta(mass, field, x_node)
-        before = self._before(step, kick, held, field.basis)
+        before = self._before(step, held, field.basis)
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, before, fastest).arrays[0]
         operator = Operator(problem.form, here)
         if self.kinks is not None:
             self.kinks.begin_step(field.basis)
         problem.bodies.put(0.0)
-        V_strain, strained = self._before_forces(operator, mass, V, (dt, kick))
+        V_strain, strained = self._before_forces(operator, mass, V, step)
         predicted = strained * V_strain if settings.scheme == "usf" else None
         at_start = boundary_forces(operator)
         held_by = self._held_by(operator, at_start, predicted)
@@ -113,11 +117,11 @@ class GeneralSteps(ExplicitBase):
         if held_by is not None:
             forces.arrays[0][:] -= held_by
         self._watch(operator, False)
-        problem.bodies.push(problem.bodies.acting(operator), kick)
+        problem.bodies.push(problem.bodies.acting(operator), step.kick)
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end, stopped = self._end((V, A), mass, here, held, kick, step.t - dt)
+        V_end, stopped = self._end((V, A), mass, here, held, step)
         new = self._to_points(operator, field, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_move = V_end
@@ -136,10 +140,11 @@ class GeneralSteps(ExplicitBase):
         if isinstance(state, str):
             return state
         self._watch(operator, True)
-        self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), dt, kick)
-        self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, kick)
+        self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), step)
+        self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, step.kick)
         self._work.add_stresses(points, state.fields, operator)
-        self._work.start += energy_of_start(mass, forces, V_end - V, here, dt, kick)
+        if step.begins:
+            self._work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
         self._count(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         held_work, late_work, _ = works_of_boundaries(operator, at_start, state)
@@ -208,7 +213,7 @@ class GeneralSteps(ExplicitBase):
         momenta.arrays[0][...] *= self._settings.scaling
         return momenta
 
-    def _before(self, step: Step, kick: float, held: Array, basis: Any) -> Array:
+    def _before(self, step: ExplicitStep, held: Array, basis: Any) -> Array:
         """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
         prescribed = self._problem.held
         bcs = prescribed.conditions
@@ -216,7 +221,7 @@ class GeneralSteps(ExplicitBase):
             return held
         dt, share = step.dt, step.share
         ending = [np.array(bc.values) for bc in bcs]
-        set_velocities(bcs, lambda v: v(step.t - 0.5 * dt - kick) * dt / share)
+        set_velocities(bcs, lambda v: v(step.t - 0.5 * dt - step.kick) * dt / share)
         values = prescribed.at([basis], share)[1][0] / dt
         for condition, value in zip(bcs, ending):
             if condition.velocity is not None:
@@ -300,24 +305,22 @@ class GeneralSteps(ExplicitBase):
 
     @stages.solve
     def _end(
-        self, motion: tuple[Array, Array], mass: Mass, here: Activation, held: Array, dt: float,
-        t: float,
+        self, motion: tuple[Array, Array], mass: Mass, here: Activation, held: Array,
+        step: ExplicitStep,
     ) -> tuple[Array, Array | None]:  # fmt: skip
         """Velocities at the end of a step, with faces of the grid and conditions. Collective.
-
-        Waves come in with their forces at the time t of the positions.
 
         Returns:
             The velocities (m/s), shape (nodes, d), and what frictional faces have taken from them,
             likewise, or None without such faces.
         """
         V, A = motion
-        V_end = V + dt * A
-        faces = self.sides.on(here.fields[0].basis, t)
+        V_end = V + step.kick * A
+        faces = self.sides.on(here.fields[0].basis, step)
         fixed = here.unknowns.fields[0].fixed
         if faces is not None and faces.dashpots is not None:
             V_end[fixed] = held[fixed]
-            V_end = self._damped(V, V_end, mass, here, faces, dt, t)
+            V_end = self._damped(V, V_end, mass, here, faces, step)
         stopped = None
         if faces is not None and self.sides.rubbing:
             free = V_end.copy()
@@ -337,43 +340,43 @@ class GeneralSteps(ExplicitBase):
         V[fixed] = given
 
     def _before_forces(
-        self, operator: Operator, mass: Mass, V: Array, times: tuple[float, float]
+        self, operator: Operator, mass: Mass, V: Array, step: ExplicitStep
     ) -> tuple[Array, float]:
         """Velocities for the strain (m/s), and the time during which they strain (s). Collective.
 
         In "usf" the strain before the forces is that by the last motion of the points, of the last
         step's length. The forces before it tell which nodes frictional faces will stop.
         """
-        (dt, kick), here = times, operator.here
+        here = operator.here
         if self._settings.scheme != "usf":
-            return V, dt
-        last, faces = 2.0 * kick - dt, self.sides.on(here.fields[0].basis)
+            return V, step.dt
+        last, faces = step.before, self.sides.on(here.fields[0].basis)
         if faces is None or not self.sides.rubbing:
             return V, last
         forces = self._forces(operator, mass, here.fields[0].stencils, None)
         assert isinstance(forces, Nodal)
         if (held_by := self._held_by(operator, boundary_forces(operator), None)) is not None:
             forces.arrays[0][:] -= held_by
-        free = V + kick * mass.solve(forces, np.zeros_like(V)).arrays[0]
+        free = V + step.kick * mass.solve(forces, np.zeros_like(V)).arrays[0]
         V_end, settled = free.copy(), V.copy()
         faces.rub(V_end, self.kinks)
         self._settle(here, free - V_end, settled)
         return settled, last
 
     def _damped(
-        self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces, dt: float,
-        t: float,
+        self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces,
+        step: ExplicitStep,
     ) -> Array:  # fmt: skip
-        """Velocities after dashpots and incoming waves. Collective."""
+        """Velocities after dashpots, and after waves with their forces at the start. Collective."""
         problem, settings, field = self._problem, self._settings, here.fields[0]
-        own, waves = here.unknowns.fields[0], faces.waves
+        own, waves = here.unknowns.fields[0], faces.wave_forces(step.start)
         free = np.zeros_like(own.fixed)
         free[own.owned_nodes] = ~own.fixed[own.owned_nodes]
         assert faces.dashpots is not None
-        sides = SideDashpots(mass, faces.dashpots, waves.forces(t), free, dt)
+        sides = SideDashpots(mass, faces.dashpots, waves, free, step.kick)
         if problem.terms.kind == "consistent":
             damped, at_side = sides.consistent(V_end)
-        elif settings.gives_back and (waves or field.C is not None):
+        elif settings.gives_back and (faces.incoming or field.C is not None):
             weight = settings.scaling * point_masses(problem.points)
             damped, at_side = sides.lumped(V_end, V, field.stencils, weight)
         else:

@@ -15,18 +15,17 @@ from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.boundarywork import boundary_forces
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy, WallEnergy
-from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.inertiaterm import Dashpots
+from dolfinmpm.dynamics.facesatnodes import Sides
+from dolfinmpm.dynamics.inertia import Dashpots, NewmarkRule
 from dolfinmpm.dynamics.ledger import Ledger, Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import MassTerms, point_masses
-from dolfinmpm.dynamics.newmarkrule import NewmarkRule
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.stepwork import (
     MovingNodes,
     add_work_of_nodes,
+    boundary_forces,
     mean_contact_forces,
     work_of_contact,
     work_of_loads,
@@ -35,6 +34,7 @@ from dolfinmpm.dynamics.stepwork import (
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.step import Step
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["GridMotion"]
@@ -99,21 +99,18 @@ class GridMotion:
         self._sides.regrid()
 
     @stages.assemble
-    def to_grid(
-        self, here: Activation, form: WeakForm, t: float, dt: float, rates: Sequence[Array]
-    ) -> None:
+    def to_grid(self, here: Activation, form: WeakForm, step: Step, rates: Sequence[Array]) -> None:
         """Velocities and accelerations of the nodes at the start of a step. Collective.
 
         Args:
             here: The activation.
             form: The weak form, for M a = f.
-            t: Time at the end of the step (s).
-            dt: Length of the step (s).
+            step: The step.
             rates: Velocities of prescribed components (m/s), shape (nodes, d) per field.
         """
-        start, self._times = None, (t - dt, t)
+        start, self._times = None, (step.t - step.dt, step.t)
         for k in here.movers:
-            self._sides.on(here.fields[k].basis, t - dt)
+            self._sides.on(here.fields[k].basis, step)
         self.held_at_start = None
         if self._starting or self.rule.by_forces or form.boundaries:
             plain = Operator(form, here)
@@ -127,7 +124,8 @@ class GridMotion:
         ]
         if here.blocks_of("changes"):
             moving = [(one.k, one.mass, one.V) for one in self.nodes]
-            self.penalty_energy.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
+            share = self._ghost_share * (1 - self.rule.alpha_f)
+            self.penalty_energy.begin(here, moving, step.dt, share)
 
     @property
     def _ghost_share(self) -> float:
@@ -161,8 +159,8 @@ class GridMotion:
             faces = self._sides.on(field.basis)
             if faces is not None and faces.dashpots is not None:
                 forces.arrays[0][:] -= faces.dashpots * V
-                if faces.waves:
-                    forces.arrays[0][:] += faces.waves.forces(self._times[0])
+                if faces.incoming:
+                    forces.arrays[0][:] += faces.wave_forces(self._times[0])
         else:
             m = point_masses(points)
             scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
@@ -180,8 +178,8 @@ class GridMotion:
         rest = rule.acceleration(np.zeros_like(one.V), one.V, one.A, dt)
         start = level * rule.velocity(one.V, one.A, rest, dt) + rule.alpha_f * one.V
         push = c * start
-        if faces.waves:
-            push = push - faces.waves.forces(self._times[0] + level * dt)
+        if faces.incoming:
+            push = push - faces.wave_forces(self._times[0] + level * dt)
         owned = here.unknowns.fields[0].owned_nodes
         nodes = owned[c[owned].any(axis=1)]
         values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
@@ -247,8 +245,8 @@ class GridMotion:
             )
             faces = self._sides.on(operator.here.fields[one.k].basis)
             stored[one.k] = add_work_of_nodes(work, one, motion, operator, share, expected, faces)
-            if faces is not None and faces.waves:
-                work.external += work_of_waves(faces.waves, self._times, one, motion, operator)
+            if faces is not None and faces.incoming:
+                work.external += work_of_waves(faces, self._times, one, motion, operator)
         # with a lumped mass, the mapping changes energy more than the rule does
         if operator.has("contact") and self.terms.kind == "consistent":
             contact = work_of_contact(operator, self.nodes)

@@ -62,12 +62,12 @@ class Work:
         projected: Energy lost by the mapping in explicit steps: the points' kinetic energy if
             forces only changed their velocities, less the kinetic energy after the mapping.
         start: ½ Σ m Δv² of the nodes in the half step in which a run begins, with one Δv by forces
-            alone, see `dolfinmpm.dynamics.halfstep`. It counts as kinetic energy.
+            alone, see `dolfinmpm.dynamics.energies`. It counts as kinetic energy.
         losses: Losses by the names of `LOSSES`.
         length: Not a sum: length of the last step (s), 0 before the first step.
         late, late_bodies: Not sums: lateness of the points and of rigid bodies. Lateness is the
             kinetic energy at the time of positions less the kinetic energy of the velocities, see
-            `dolfinmpm.dynamics.halfstep`.
+            `dolfinmpm.dynamics.energies`.
         latest: Not a sum: work of the stresses at the end of the last step on its strains.
     """
 
@@ -155,7 +155,7 @@ class Energies:
     Attributes:
         kinetic: ½ Σ m v² of the points. Velocities of explicit steps are half a step behind
             positions. So the kinetic energy is corrected to the time of the positions, see
-            `dolfinmpm.dynamics.halfstep`. The same holds for free rigid bodies.
+            `dolfinmpm.dynamics.energies`. The same holds for free rigid bodies.
         strain: Elastic energy stored by the laws; NaN if a law has no energy.
         external: Work of loads and prescribed motions since the first step. Terms in UFL that
             depend on the increment, such as `Surface.pressure`, are in "integrator".

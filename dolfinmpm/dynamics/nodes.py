@@ -54,7 +54,7 @@ def _settle(mark, rubbing, fixed, per_momentum, taken, mapped):
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def move_nodes(
-    box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, kick, scaling,
+    box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, kick, begins, scaling,
     damping, known, last, done,
 ):  # fmt: skip
     """Accelerate the nodes of a box.
@@ -65,6 +65,7 @@ def move_nodes(
         faces: Friction and dashpots at sides of the grid, see `Faces.by_nodes`.
         pushed: Output: changes of velocity by forces alone; or empty.
         dt, kick: Time during which nodes move, and time during which forces act on them (s).
+        begins: Whether a run begins with the step.
         known: Whether velocities for the strain are set already.
         last: Whether the points move by these velocities. The sums are then cleared.
         done: Sums to add to, see `FusedSteps.done`.
@@ -113,8 +114,7 @@ def move_nodes(
                         work += (m * scaling * (end - y) - kick * f) * end
                 nodes[k, force + i] = end - y
                 grid += half * (end * end - y * y)
-                if 2.0 * kick == dt:
-                    # the run begins with half a step
+                if begins:
                     start += half * change * (end - y)
                 nodes[k, i] = end
                 if not known:

@@ -1,4 +1,10 @@
-"""Works in a step in time: of loads, contacts, boundaries, penalties and dashpots."""
+"""Works in a step in time: of loads, contacts, boundaries, penalties and dashpots.
+
+Forces of boundaries that do not fit the grid depend on the increments: pressures that follow a
+boundary, Nitsche's terms, penalties of prescribed displacements, walls. Their work in a step is
+that of the mean of the forces at its start and end. Walls (`signorini`) do not move: their work is
+energy that their penalties store, or friction. So it is left out here, see `Wall.energy`.
+"""
 
 from __future__ import annotations
 
@@ -11,23 +17,29 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import Tags
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.terms.boundaryterm import ActiveBoundaryTerm
 
 __all__ = [
     "MovingNodes",
     "add_work_of_nodes",
+    "boundary_forces",
     "energy_of_start",
+    "fields_at_level",
     "mean_contact_forces",
     "work_at_nodes",
     "work_of_contact",
     "work_of_friction",
     "work_of_loads",
     "work_of_waves",
+    "works_of_boundaries",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -112,8 +124,7 @@ def work_at_nodes(
     mass: Mass,
     forces: Nodal,
     motion: tuple[Array, Array, Array],
-    dt: float,
-    kick: float,
+    step: ExplicitStep,
 ) -> float:
     """Work of loads and of prescribed motions in an explicit step (J). Collective.
 
@@ -123,14 +134,14 @@ def work_at_nodes(
         forces: Forces on the nodes (N).
         motion: Velocities at the start and at the end of the step, and velocities by which the
             points move (m/s), shape (nodes, d).
-        dt, kick: Time during which points move, and time during which forces act (s).
+        step: The step.
     """
     V, V_end, V_move = motion
-    external = operator.load_work([dt * V_move])
+    external = operator.load_work([step.dt * V_move])
     here = operator.here
     if here.driven:
         # a prescribed motion changes the momentum of its nodes, against their forces
-        impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
+        impulse = mass.times(V_end - V).arrays[0] - step.kick * forces.arrays[0]
         at = here.unknowns.fields[0].places[1]
         done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
         external += mass.comm.allreduce(done, op=MPI.SUM)
@@ -138,19 +149,17 @@ def work_at_nodes(
 
 
 def energy_of_start(
-    mass: Mass, forces: Nodal, change: Array, here: Activation, dt: float, kick: float
+    mass: Mass, forces: Nodal, change: Array, here: Activation, kick: float
 ) -> float:
-    """Energy of the start of a run, see `dolfinmpm.dynamics.halfstep` (J). Collective.
+    """Energy of the step that begins a run, see `dolfinmpm.dynamics.energies` (J). Collective.
 
     Args:
         mass: Mass of the nodes.
         forces: Forces on the nodes (N).
         change: Change of their velocities in the step (m/s), shape (nodes, d).
         here: The activation.
-        dt, kick: Time during which points move, and time during which forces act (s).
+        kick: Time during which forces act (s).
     """
-    if 2.0 * kick != dt:
-        return 0.0
     own = here.unknowns.fields[0]
     done = np.where(own.fixed, 0.0, forces.arrays[0] * change)[own.owned_nodes]
     return mass.comm.allreduce(0.5 * kick * float(done.sum()), op=MPI.SUM)
@@ -211,7 +220,7 @@ def add_work_of_nodes(
 
 
 def work_of_waves(
-    waves: Any,
+    faces: Any,
     times: tuple[float, float],
     one: MovingNodes,
     motion: NodalMotion,
@@ -220,12 +229,12 @@ def work_of_waves(
     """Work of waves that come in through absorbing sides in a step (J). Collective.
 
     Args:
-        waves: The waves, see `IncomingWaves`.
+        faces: The sides, see `Faces`.
         times: Start and end of the step (s).
         one, motion: The nodes, and their motion.
         operator: The step's equations, at their solution.
     """
-    mean = 0.5 * (waves.forces(times[0]) + waves.forces(times[1]))
+    mean = 0.5 * (faces.wave_forces(times[0]) + faces.wave_forces(times[1]))
     assert motion.u is not None
     done = _sum_where_free(mean * motion.u, operator.here, one.k)
     return one.mass.comm.allreduce(done, op=MPI.SUM)
@@ -243,3 +252,62 @@ def _sum_where_free(values: Array, here: Activation, k: int) -> float:
     """
     own = here.unknowns.fields[k]
     return float(np.sum(np.where(own.fixed, 0.0, values)[own.owned_nodes]))
+
+
+def boundary_forces(operator: Operator) -> list[Array] | None:
+    """Internal forces of boundaries at the present increments and loads. Collective.
+
+    Returns:
+        Shape (nodes, components) per field (N), or None without boundaries.
+    """
+    if not operator.has("boundary"):
+        return None
+    return list(operator.forces_of("boundary", renewed=True))
+
+
+def fields_at_level(operator: Operator) -> list[dict[str, Array]]:
+    """Fields that conditions set at the markers of each boundary, for the present increments."""
+    found = []
+    for of in operator.form.boundaries:
+        active = operator.active(of)
+        assert isinstance(active, ActiveBoundaryTerm)
+        found.append(active.new_fields())
+    return found
+
+
+def works_of_boundaries(
+    operator: Operator,
+    start: Sequence[Array] | None,
+    state: NewState,
+    level: Sequence[dict[str, Array]] | None = None,
+) -> tuple[float, float, float]:
+    """Works of boundaries in a step (J). Collective.
+
+    Args:
+        operator: The step's equations, at the increments, with the loads at its end.
+        start: Internal forces of boundaries at the start of the step (N), shape (nodes, components)
+            per field, or None without boundaries.
+        state: The new state.
+        level: Result of `fields_at_level` if forces balance within the step. Then the work of walls
+            is that of their forces at this time.
+
+    Returns:
+        Work of all boundaries except walls, work of the forces at the end of the step, and work of
+        the walls.
+    """
+    end = boundary_forces(operator)
+    if start is None or end is None:
+        return 0.0, 0.0, 0.0
+    here, u, works = operator.here, operator.increments, np.zeros(3)
+    for k in here.movers:
+        at = here.unknowns.fields[k].owned_nodes
+        for i, force in enumerate((0.5 * (start[k] + end[k]), end[k])):
+            works[i] -= np.sum((force * u[k])[at])
+    for k, of in enumerate(operator.form.boundaries):
+        fields, moved = state.of(of.markers), state.moved[of.markers.number]
+        for condition in of.conditions:
+            own = condition.own_work(fields, moved)
+            works[0] -= own
+            works[2] += own if level is None else condition.own_work(fields, moved, level[k])
+    here.unknowns.comm.Allreduce(MPI.IN_PLACE, works, op=MPI.SUM)
+    return float(works[0]), float(works[1]), float(works[2])

@@ -18,20 +18,19 @@ from dolfinx import fem
 from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.dynamics.boundarywork import fields_at_level, works_of_boundaries
 from dolfinmpm.dynamics.clock import (
     MotionRecord,
     Time,
     end_of_step,
     mean_increment,
     open_time,
+    set_velocities,
 )
 from dolfinmpm.dynamics.energybounds import SHORTEST
-from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.gridmotion import GridMotion
-from dolfinmpm.dynamics.inertiaterm import Inertia
+from dolfinmpm.dynamics.inertia import Inertia, NewmarkRule
 from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.newmarkrule import NewmarkRule
+from dolfinmpm.dynamics.stepwork import fields_at_level, works_of_boundaries
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.declarations import rows_within
@@ -218,7 +217,7 @@ class NewmarkScheme(TimedScheme):
         problem.bodies.begin(step.dt)
         here = problem.activate(step)
         self._load_at(problem, step, 0.0)
-        motion.to_grid(here, problem.form, step.t, step.dt, self._rates(problem, here, step))
+        motion.to_grid(here, problem.form, step, self._rates(problem, here, step))
         self._load_at(problem, step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             bases = [field.basis for field in here.fields]
