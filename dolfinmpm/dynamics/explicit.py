@@ -21,7 +21,6 @@ from dolfinx import fem
 from dolfinmpm._platform.argumentchecks import check_kind, choice, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, raise_together
-from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
@@ -39,9 +38,8 @@ from dolfinmpm.dynamics.faces import (
     split_conditions,
 )
 from dolfinmpm.dynamics.facesatnodes import Sides
-from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
+from dolfinmpm.dynamics.fusable import why_not
 from dolfinmpm.dynamics.fused import FusedSteps
-from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import GeneralSteps
 from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
@@ -69,8 +67,11 @@ class Explicit(MovingBody, Problem):
 
     Velocities are half a step behind positions. A force changes the velocities over half of the
     step before and half of the step after. So steps may change their length. The first step has no
-    step before: velocities that are given are those at the start. Prescribed velocities are those
-    in the middle of a step. `energies()` gives the kinetic energy at the time of the positions.
+    step before: velocities that are given are those at the start. Velocities that are set later
+    are those in the middle of the last step, half a step before the positions, as all velocities
+    that the points have then: the next step changes them by forces over half of both steps.
+    Prescribed velocities are those in the middle of a step. `energies()` gives the kinetic energy
+    at the time of the positions.
 
     `step(t)` goes to the time t in as many steps as stability requires. In a loop over
     `times(end, dt="auto")` each call takes twenty fused steps, or one step that is not fused.
@@ -96,7 +97,8 @@ class Explicit(MovingBody, Problem):
         mass_scaling: Factor of the mass in the inertia, not in the loads. Steps grow by the square
             root of the factor.
         bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
-            against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2).
+            against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2). They
+            shorten `critical_step`.
         mass_cutoff: Nodes with less than this share of the largest mass stand still (Sulsky,
             Zhou & Schreyer 1995). Their forces are lost, and momentum with them: some 0.5 % to 4 %
             in runs of "musl". In "usl" and "usf" they also strain what moves, and a share of 0.01
@@ -208,11 +210,13 @@ class Explicit(MovingBody, Problem):
             raise_together(points.comm, collision_error(self, mass, settings))
             self._loop = CollisionSteps(self, settings, sides, collision)
             return
-        found = self._fused(sides, options) if truth("fused", fused) else "fused=False"
-        if isinstance(found, str):
-            self._loop = GeneralSteps(self, settings, sides, found)
+        reason: str | None = "fused=False"
+        if truth("fused", fused):
+            reason = why_not(self, settings, sides, options)
+        if reason is not None:
+            self._loop = GeneralSteps(self, settings, sides, reason)
         else:
-            self._loop = found
+            self._loop = FusedSteps(self, settings, sides)
 
     @property
     def unfused(self) -> str:
@@ -264,40 +268,22 @@ class Explicit(MovingBody, Problem):
         """The velocity mapping between points and grid."""
         return self.settings.mapping
 
-    def _fused(self, sides: Sides, options: dict[str, Any]) -> FusedSteps | str:
-        """The fused loops, or why there are none."""
-        form, field, settings = self.form, self.fields[0], self.settings
-        reason = why_not(form, field, self.terms.kind, settings, self.held, options)
-        if reason is None and sides.incoming:
-            reason = "waves come in through a side"
-        if reason is None and sides.rubbing and settings.scheme == "usf":
-            reason = 'frictional sides with scheme="usf"'
-        if reason is not None:
-            return reason
-        laws, loads = Laws(self.points, form.parts.declarations), FusedLoads(form)
-        contacts, rigid = self.bodies.contacts, None
-        if contacts:
-            rigid = RigidContacts(contacts, self.bodies, self.points)
-        basis, domains = field.space.basis, field.space.domains
-        assert isinstance(basis, LatticeBasis)
-        return FusedSteps(
-            self.points, basis, self.held, laws, loads, settings, sides, domains, rigid
-        )
-
     @collective
     def critical_step(self, exact: bool = False) -> float:
         """The longest stable step (s). Collective.
+
+        Bulk viscosity shortens it. The part of its quadratic coefficient is that of the last step.
 
         Args:
             exact: True gives 2/√λ_max of the eigenproblem K x = λ M x in the present state. The
                 tangent is then compiled. False gives an estimate by wave speed and grid.
         """
-        scaling = self.settings.scaling
+        scaling, loop = self.settings.scaling, self._loop
         if truth("exact", exact):
             here = self.activate()
             if self.form.boundaries:
                 here, _ = weighed(self.form, here)
-            return exact_step(self.form, self.terms, here, scaling)
+            return self._by_viscosity(exact_step(self.form, self.terms, here, scaling))
         self.form.bind()
         field, declarations = self.fields[0], self.form.parts.declarations
         tied = (
@@ -310,9 +296,15 @@ class Explicit(MovingBody, Problem):
         )
         # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
-        held = self._loop.held() if isinstance(self._loop, GeneralSteps) else Stiffness()
+        held = loop.held() if isinstance(loop, GeneralSteps) else Stiffness()
         rate = (1.0 + held.share) / found**2 + 0.25 * (springs + held.rate)
-        return math.sqrt(scaling / rate)
+        return self._by_viscosity(math.sqrt(scaling / rate))
+
+    def _by_viscosity(self, longest: float) -> float:
+        """The longest stable step (s), from that without bulk viscosity. Collective."""
+        loop = self._loop
+        viscous = isinstance(loop, GeneralSteps) and loop.viscosity
+        return viscous.shorten(longest) if viscous else longest
 
     def _set_penalties(self, here: Activation) -> None:
         self.form.set_penalties(replace(here, blocks={}), ghost=False)

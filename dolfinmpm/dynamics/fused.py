@@ -19,18 +19,16 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.energies import lateness
 from dolfinmpm.dynamics.explicitbase import ExplicitStep, Settings
 from dolfinmpm.dynamics.facesatnodes import Sides
-from dolfinmpm.dynamics.fusable import FusedLoads, Laws
+from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.fusedloop import kernel
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
-from dolfinmpm.dynamics.pointarrays import PointArrays
+from dolfinmpm.dynamics.pointarrays import Laws, PointArrays
 from dolfinmpm.dynamics.window import MARGIN, Prescribed, Window, WindowMeans
 
 __all__ = ["FusedSteps"]
@@ -62,15 +60,9 @@ class FusedSteps:
     """The fused loops of a problem.
 
     Args:
-        points: Material points.
-        basis: Basis of the displacement, on a lattice.
-        held: Essential conditions.
-        laws: The laws of the form.
-        loads: Loads of the form.
-        settings: Settings of the steps, with "flip", "pic", "apic" or "tpic".
+        problem: The problem, for which `why_not` has no reason.
+        settings: Settings of the steps.
         sides: Sides of the grid that act on the body.
-        domains: Update rule of the points' domains.
-        rigid: Contacts with rigid bodies, or None.
 
     Attributes:
         done: Sums since the last call of `work`, in this order: work of the stresses (J), work of
@@ -87,25 +79,18 @@ class FusedSteps:
     _means: WindowMeans | None = None
     _arrays: PointArrays
 
-    def __init__(
-        self,
-        points: MaterialPoints,
-        basis: LatticeBasis,
-        held: EssentialConditions,
-        laws: Laws,
-        loads: FusedLoads,
-        settings: Settings,
-        sides: Sides,
-        domains: str = "stretch",
-        rigid: RigidContacts | None = None,
-    ):
-        self._rigid = rigid
-        self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
-        self._settings, self.sides = settings, sides
-        self._prescribed = Prescribed(held)
+    def __init__(self, problem: Any, settings: Settings, sides: Sides):
+        form, points, bodies = problem.form, problem.points, problem.bodies
+        self._points, self._settings, self.sides = points, settings, sides
+        space = problem.fields[0].space
+        self._basis: LatticeBasis = space.basis
+        self._laws = Laws(points, form.parts.declarations)
+        self._loads = FusedLoads(form)
+        self._rigid = RigidContacts(bodies, points) if bodies.contacts else None
+        self._prescribed = Prescribed(problem.held)
         self.done = np.zeros(9)
         self._rate, self._worth = 0.0, Worth()
-        self._growth = GROWTH[domains] if basis.averaged else 0
+        self._growth = GROWTH[space.domains] if space.basis.averaged else 0
         self._window: Any = None
 
     @property

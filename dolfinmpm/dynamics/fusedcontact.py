@@ -8,7 +8,6 @@ corners of the listed points get the same contact forces as in general steps, se
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from dolfinmpm.contact.candidates import MARGIN, passed_through, unlisted_entere
 from dolfinmpm.contact.corners import DisplacementBasis, Rows, longest
 from dolfinmpm.contact.neighbourlist import NeighbourList
 from dolfinmpm.contact.rigidbodies import RigidBodies
-from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.dynamics.energies import lateness_by_contact
 from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.nodes import fastest
@@ -41,8 +39,7 @@ class RigidContacts:
     A step calls `begin`, `press`, `follow` and `end` in this order.
 
     Args:
-        contacts: The contacts, at least one.
-        bodies: The rigid bodies of the contacts.
+        bodies: The rigid bodies, with at least one contact.
         points: Material points.
 
     Attributes:
@@ -54,12 +51,10 @@ class RigidContacts:
     _exchange: Exchange | None
     _sums: Array
 
-    def __init__(
-        self, contacts: Sequence[RigidContact], bodies: RigidBodies, points: MaterialPoints
-    ):
+    def __init__(self, bodies: RigidBodies, points: MaterialPoints):
         self._bodies, self._points, self.work = bodies, points, 0.0
         self.late = 0.0, 0.0
-        self._near = [NeighbourList(contact) for contact in contacts]
+        self._near = [NeighbourList(contact) for contact in bodies.contacts]
         self._active: list[ActiveRigidContact] = []
         # largest motion of nodes in the last step (m)
         self._nodes_go = 0.0

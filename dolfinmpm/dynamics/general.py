@@ -12,7 +12,6 @@ them, too. Otherwise contact would make or lose energy.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,8 +26,7 @@ from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
-from dolfinmpm.dynamics.clock import set_velocities
-from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
+from dolfinmpm.dynamics.clock import velocities_at
 from dolfinmpm.dynamics.energies import lateness, lateness_by_contact, mapping_loss, stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep
 from dolfinmpm.dynamics.facesatnodes import Faces
@@ -36,7 +34,7 @@ from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
-from dolfinmpm.dynamics.smallmass import viscous_pressure
+from dolfinmpm.dynamics.smallmass import BulkViscosity
 from dolfinmpm.dynamics.stepwork import (
     boundary_forces,
     energy_of_start,
@@ -63,6 +61,15 @@ class GeneralSteps(ExplicitBase):
     def _resisting(self) -> dict[str, Array]:
         """Name of a loss → dissipative forces on the nodes in a step (N)."""
         return {}
+
+    @cached_property
+    def viscosity(self) -> BulkViscosity | None:
+        """Bulk viscosity, or None without it."""
+        problem, coefficients = self._problem, self._settings.viscosity
+        if coefficients == (0.0, 0.0):
+            return None
+        declarations = problem.form.parts.declarations
+        return BulkViscosity(problem.points, problem.fields[0].space, declarations, coefficients)
 
     @cached_property
     def _by_stress(self) -> bool:
@@ -100,7 +107,8 @@ class GeneralSteps(ExplicitBase):
         mass = Mass(problem.terms, here, settings.scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         momenta = self._momenta(mass, field, x_node)
-        before = self._before(step, held, field.basis)
+        last = step.t - 0.5 * dt - step.kick
+        (before,) = velocities_at(problem, here, step, lambda v: v(last) * dt / step.share)
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, before, fastest).arrays[0]
         operator = Operator(problem.form, here)
@@ -213,21 +221,6 @@ class GeneralSteps(ExplicitBase):
         momenta.arrays[0][...] *= self._settings.scaling
         return momenta
 
-    def _before(self, step: ExplicitStep, held: Array, basis: Any) -> Array:
-        """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
-        prescribed = self._problem.held
-        bcs = prescribed.conditions
-        if not any(condition.velocity for condition in bcs):
-            return held
-        dt, share = step.dt, step.share
-        ending = [np.array(bc.values) for bc in bcs]
-        set_velocities(bcs, lambda v: v(step.t - 0.5 * dt - step.kick) * dt / share)
-        values = prescribed.at([basis], share)[1][0] / dt
-        for condition, value in zip(bcs, ending):
-            if condition.velocity is not None:
-                condition.value.value = value
-        return np.asarray(values, np.float64)
-
     @stages.assemble
     def _forces(self, operator: Operator, mass: Mass, s: Stencils, u: Array | None) -> Nodal | str:
         """Forces on the nodes by the present stresses, or by the stresses after an increment u.
@@ -275,12 +268,9 @@ class GeneralSteps(ExplicitBase):
     @stages.assemble
     def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:
         """Change the forces by bulk viscosity, and by filters of light nodes. Collective."""
-        points, b = self._problem.points, self._settings.viscosity
-        if b != (0.0, 0.0):
-            speeds = wave_speed(points, self._problem.form.parts.declarations)
-            viscous = mass.nodal()
-            sizes = cell_sizes_at(points, self._problem.fields[0].space)
-            pressure = viscous_pressure(points, s, V, b, speeds, sizes)
+        points = self._problem.points
+        if self.viscosity is not None:
+            viscous, pressure = mass.nodal(), self.viscosity.pressure(s, V)
             if self.kinks is not None:
                 self.kinks.add_closing(points["id"], pressure[:, 0, 0])
             scatter_tensor(points, s, pressure, viscous.arrays[0])

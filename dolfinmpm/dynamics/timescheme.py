@@ -25,6 +25,7 @@ from dolfinmpm.dynamics.clock import (
     mean_increment,
     open_time,
     set_velocities,
+    velocities_at,
 )
 from dolfinmpm.dynamics.energybounds import SHORTEST
 from dolfinmpm.dynamics.gridmotion import GridMotion
@@ -217,7 +218,9 @@ class NewmarkScheme(TimedScheme):
         problem.bodies.begin(step.dt)
         here = problem.activate(step)
         self._load_at(problem, step, 0.0)
-        motion.to_grid(here, problem.form, step, self._rates(problem, here, step))
+        scale = step.dt / step.share
+        rates = velocities_at(problem, here, step, lambda v: v(step.t - step.dt) * scale)
+        motion.to_grid(here, problem.form, step, rates)
         self._load_at(problem, step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             bases = [field.basis for field in here.fields]
@@ -258,19 +261,6 @@ class NewmarkScheme(TimedScheme):
                 rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f,
                 weight=self.means.weight,
             )  # fmt: skip
-
-    def _rates(self, problem: Any, here: Activation, step: Step) -> list[Array]:
-        """Velocities of prescribed components at the start of a step (m/s), per field. Collective.
-
-        They are the prescribed velocities, and prescribed increments over the step's length.
-        """
-        if not any(condition.velocity for condition in problem.bcs):
-            return [np.asarray(g / step.dt, np.float64) for g in here.prescribed]
-        bases, scale = [field.basis for field in here.fields], step.dt / step.share
-        set_velocities(problem.bcs, lambda v: v(step.t - step.dt) * scale)
-        values = problem.held.at(bases, step.share)[1]
-        set_velocities(problem.bcs, lambda v: mean_increment(v, step))
-        return [np.asarray(g / step.dt, np.float64) for g in values]
 
     def count(self, work: float) -> None:
         """See `Static`."""
