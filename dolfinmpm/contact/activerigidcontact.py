@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,6 @@ from mpi4py import MPI
 
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.contact.candidates import candidates, passed_through, unlisted_entered
 from dolfinmpm.contact.contactlaw import (
     FREE,
     SLIPS,
@@ -20,13 +20,15 @@ from dolfinmpm.contact.contactlaw import (
     slip_work,
 )
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
-from dolfinmpm.contact.contacttangent import add_tangent
+from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.corners import ALL, CornerLayout, DisplacementBasis, Rows, Which
-from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces
-from dolfinmpm.contact.protocols import RigidContactTerm
-from dolfinmpm.contact.storedenergy import normal_energy, slip_energy
+from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
 from dolfinmpm.contact.surfaces import Probe
+from dolfinmpm.contact.tunnelling import candidates, passed_through, unlisted_entered
 from dolfinmpm.cut.activation import ActiveDomain
+
+if TYPE_CHECKING:
+    from dolfinmpm.contact.rigidcontact import RigidContact
 
 __all__ = ["ActiveRigidContact"]
 
@@ -65,7 +67,7 @@ class ActiveRigidContact(ActiveContact):
     pushes = True
 
     def __init__(
-        self, contact: RigidContactTerm, displacement: DisplacementBasis, field: int = 0,
+        self, contact: RigidContact, displacement: DisplacementBasis, field: int = 0,
         listed: Rows | None = None, distance: float = math.inf,
         means: MeanForceWeights | None = None,
     ):  # fmt: skip
@@ -119,7 +121,7 @@ class ActiveRigidContact(ActiveContact):
         )  # fmt: skip
 
     @staticmethod
-    def on(contact: RigidContactTerm, here: ActiveDomain) -> ActiveRigidContact:
+    def on(contact: RigidContact, here: ActiveDomain) -> ActiveRigidContact:
         """A contact on an activation. Collective."""
         k = next(k for k, f in enumerate(here.fields) if f.space.increment is contact.u)
         displacement = DisplacementBasis.of(

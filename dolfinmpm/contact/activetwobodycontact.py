@@ -13,11 +13,12 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.contact.contactlaw import FREE, SLIPS, contact_forces, slip_work
 from dolfinmpm.contact.contactpairs import TOUCHES, ContactPairs
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
-from dolfinmpm.contact.contacttangent import add_tangent
-from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces
-from dolfinmpm.contact.storedenergy import (
+from dolfinmpm.contact.contactstencils import add_tangent
+from dolfinmpm.contact.meanforces import (
     SPARE_SHARE,
+    MeanForceWeights,
     bounding_multipliers,
+    mean_forces,
     normal_energy,
     slip_energy,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +14,12 @@ from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis, LeafBasis
 from dolfinmpm.basis.stencils import Stencils, stencil_matrix
 from dolfinmpm.contact.contactstencils import ContactStencils
-from dolfinmpm.contact.protocols import TwoBodyContactTerm
 from dolfinmpm.cut.activation import ActiveDomain, ActiveField
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.lattice import Lattice, lattice_of, smallest_height
+
+if TYPE_CHECKING:
+    from dolfinmpm.contact.twobodycontact import TwoBodyContact
 
 __all__ = ["LAYERS", "TOUCHES", "ContactPairs"]
 
@@ -75,7 +78,7 @@ class ContactPairs:
         ParameterError: The bodies overlap before the first step.
     """
 
-    def __init__(self, contact: TwoBodyContactTerm, here: ActiveDomain):
+    def __init__(self, contact: TwoBodyContact, here: ActiveDomain):
         self.contact = contact
         first, second = (b.markers for b in contact.boundaries)
         self.reach = smallest_height(contact.points.grid)

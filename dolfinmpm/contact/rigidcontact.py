@@ -22,9 +22,9 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import ContactLaw
+from dolfinmpm.contact.contactpoints import CornerFields
 from dolfinmpm.contact.corners import corner_count
 from dolfinmpm.contact.meanforces import MeanForceWeights
-from dolfinmpm.contact.protocols import CornerFields
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.declarations import Declaration

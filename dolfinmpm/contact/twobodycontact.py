@@ -21,8 +21,8 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.activetwobodycontact import ActiveTwoBodyContact
 from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpairs import LAYERS, ContactPairs
+from dolfinmpm.contact.contactpoints import MarkerFields
 from dolfinmpm.contact.meanforces import MeanForceWeights
-from dolfinmpm.contact.protocols import MarkerFields
 from dolfinmpm.cut.activation import Activation, ActiveDomain, Coupling
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import require_lattice, smallest_height

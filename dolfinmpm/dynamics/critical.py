@@ -23,7 +23,7 @@ from dolfinmpm.solve import spectra
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["cell_sizes_at", "critical_step", "exact_step", "factor", "wave_speed"]
+__all__ = ["cell_sizes_at", "critical_step", "exact_step", "wave_speed"]
 
 Array = npt.NDArray[np.float64]
 

@@ -39,7 +39,7 @@ from dolfinmpm.dynamics.energies import (
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["LOSSES", "Energies", "Ledger", "MovingBody", "Work"]
+__all__ = ["Energies", "Ledger", "MovingBody", "Work"]
 
 Array = npt.NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import collect, moments, scatter, scatter_affine
 
-__all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]
+__all__ = ["Mapping", "NodalMotion", "mapping_of"]
 
 Array = npt.NDArray[np.float64]
 KINDS = ("pic", "flip", "accel", "apic", "tpic", "xpic", "fmpm")

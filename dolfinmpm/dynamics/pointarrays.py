@@ -30,7 +30,7 @@ from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.materials.umat import UMAT
 
-__all__ = ["Laws", "PointArrays", "formulation_of", "kirchhoff", "stored_energy"]
+__all__ = ["Laws", "PointArrays", "formulation_of", "stored_energy"]
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)

@@ -20,14 +20,7 @@ from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import smallest_height
 
-__all__ = [
-    "BulkViscosity",
-    "MassCutOff",
-    "Redistribution",
-    "check_filters",
-    "checked_viscosity",
-    "filters",
-]
+__all__ = ["BulkViscosity", "check_filters", "checked_viscosity", "filters"]
 
 Array = npt.NDArray[np.float64]
 

@@ -42,7 +42,7 @@ from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["NewmarkScheme", "StepClock", "TimedScheme"]
+__all__ = ["NewmarkScheme", "TimedScheme"]
 
 Array = npt.NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.grid.halo import Numbering
 
-__all__ = ["MARGIN", "CellFinder", "Exchange", "Prescribed", "Window", "WindowMeans", "extent"]
+__all__ = ["MARGIN", "Exchange", "Prescribed", "Window", "WindowMeans"]
 
 
 @numba.njit(cache=True, error_model="numpy")
