@@ -121,6 +121,11 @@ class BodyAtNodes:
     volume: Array
     slope: Array
 
+    @property
+    def divisor(self) -> Array:
+        """What divides momenta to give velocities (kg), shape (nodes, 1): the mass, or infinity."""
+        return np.where(self.mass > 0.0, self.mass, np.inf)[:, None]
+
 
 class NodalContact:
     """Nodes at which bodies touch in a step, and the momentum exchanged there.
@@ -282,7 +287,7 @@ class BodiesAtSides:
         self._stopped: list[Array] = [np.zeros_like(held) for _ in bodies]
         self._absorbed: list[Array] = []
 
-    def hold(self, velocities: Sequence[Array]) -> None:
+    def constrain(self, velocities: Sequence[Array]) -> None:
         """Set the velocities of prescribed components (m/s), shape (nodes, d) per body."""
         for V in velocities:
             V[self._fixed] = self._held[self._fixed]
@@ -325,10 +330,10 @@ class BodiesAtSides:
                 stopped[self._fixed] = 0.0
             m = np.broadcast_to(body.mass[:, None], V.shape)[moving]
             work += float(np.sum(m * (held[moving] - V[moving]) * held[moving]))
-        self.hold(velocities)
+        self.constrain(velocities)
         return work
 
-    def settle(self, mapped: Sequence[Array]) -> None:
+    def constrain_stopped(self, mapped: Sequence[Array]) -> None:
         """Hold nodes that frictional sides have stopped, see `Faces.settle`.
 
         Args:
@@ -339,7 +344,7 @@ class BodiesAtSides:
             return
         for V, stopped in zip(mapped, self._stopped):
             self._faces.settle(stopped, V, self._kinks)
-        self.hold(mapped)
+        self.constrain(mapped)
 
     def losses(self, strains: Sequence[Array], dt: float) -> Array:
         """Works taken by frictional sides and by dashpots, at nodes of this rank (J), shape (2,).

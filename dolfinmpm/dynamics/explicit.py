@@ -45,7 +45,7 @@ from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.smallmass import check_filters
+from dolfinmpm.dynamics.smallmass import BulkViscosity, check_filters
 from dolfinmpm.forms.formchecks import check_explicit
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
@@ -302,9 +302,12 @@ class Explicit(MovingBody, Problem):
 
     def _by_viscosity(self, longest: float) -> float:
         """The longest stable step (s), from that without bulk viscosity. Collective."""
-        loop = self._loop
-        viscous = isinstance(loop, GeneralSteps) and loop.viscosity
-        return viscous.shorten(longest) if viscous else longest
+        return self.viscosity.shorten(longest) if self.viscosity is not None else longest
+
+    @property
+    def viscosity(self) -> BulkViscosity | None:
+        """Bulk viscosity, or None without it. Fused steps have none."""
+        return self._loop.viscosity if isinstance(self._loop, GeneralSteps) else None
 
     def _set_penalties(self, here: Activation) -> None:
         self.form.set_penalties(replace(here, blocks={}), ghost=False)
@@ -378,9 +381,13 @@ class Marching(Scheme):
 
     def state(self) -> dict[str, Any]:
         """See `Scheme`."""
-        return {"time": self._problem.time, **self._problem.ledger.state()}
+        found = {"time": self._problem.time, **self._problem.ledger.state()}
+        viscosity = self._problem.viscosity
+        return found if viscosity is None else found | {"compression": viscosity.compression}
 
     def set_state(self, values: StateOf[str, Any]) -> None:
         """See `Scheme`."""
         self._problem.time = values["time"]
+        if self._problem.viscosity is not None:
+            self._problem.viscosity.compression = values["compression"]
         self._problem.ledger.set_state(values)

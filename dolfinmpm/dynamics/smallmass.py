@@ -197,10 +197,12 @@ class BulkViscosity:
         space: Space of the displacement.
         declarations: Laws in the form.
         coefficients: b₁ and b₂.
+
+    Attributes:
+        compression: Largest h |ε̇|/c of the last step; 0 where b₂ is 0.
     """
 
-    # largest h |ε̇|/c of the last step, on this rank
-    _compression = 0.0
+    compression = 0.0
 
     def __init__(
         self, points: MaterialPoints, space: Any, declarations: Sequence[Any],
@@ -225,7 +227,9 @@ class BulkViscosity:
         gather(s, V, velocity, gradient)
         whole = full_gradient(points, velocity, gradient)
         rate = np.minimum(np.trace(whole, axis1=1, axis2=2), 0.0)
-        self._compression = float(np.max(-h * rate / c, initial=0.0))
+        if self._quadratic:
+            most = float(np.max(-h * rate / c, initial=0.0))
+            self.compression = points.comm.allreduce(most, op=MPI.MAX)
         m, b, quadratic = points["density"] * points["V0"], self._linear, self._quadratic
         q = m * h * (b * c * -rate + quadratic**2 * h * rate**2)
         return -q[:, None, None] * np.eye(points.strain_dim)
@@ -241,9 +245,8 @@ class BulkViscosity:
             longest: Δt (s).
         """
         h, c = self._cells_and_speeds()
-        most = np.array([np.max(h / c, initial=0.0), self._compression])
-        self._points.comm.Allreduce(MPI.IN_PLACE, most, op=MPI.MAX)
-        ratio = float(most[0] * (self._linear + self._quadratic**2 * most[1])) / longest
+        most = self._points.comm.allreduce(float(np.max(h / c, initial=0.0)), op=MPI.MAX)
+        ratio = most * (self._linear + self._quadratic**2 * self.compression) / longest
         return longest / (math.sqrt(1.0 + ratio**2) + ratio)
 
     def _cells_and_speeds(self) -> tuple[Array | float, Array]:
