@@ -48,10 +48,10 @@ class ActiveRigidContact(ActiveContact):
         field: Number of the field of the displacement.
         listed: The points to search, increasing, if all other points are known to be far away.
         distance: Largest distance from the body of corners that can touch in this step (m).
-        means: Weights of mean forces over a step in its balance; None for forces at its end.
+        mean_weights: Weights of mean forces over a step in its balance; None for forces at its end.
 
     Attributes:
-        contact, field, means: The arguments.
+        contact, field, mean_weights: The arguments.
         clings: True holds corners that touched before, as long as nothing has moved. So the first
             iteration of Newton's method takes these corners along with a body that moves away.
         layout: Where the corners are.
@@ -69,10 +69,10 @@ class ActiveRigidContact(ActiveContact):
     def __init__(
         self, contact: RigidContact, displacement: DisplacementBasis, field: int = 0,
         listed: Rows | None = None, distance: float = math.inf,
-        means: MeanForceWeights | None = None,
+        mean_weights: MeanForceWeights | None = None,
     ):  # fmt: skip
         self.contact, self.clings, self.field = contact, False, field
-        self.means = means
+        self.mean_weights = mean_weights
         self.layout = CornerLayout(contact.points, displacement, contact.surface, contact.material)
         self.candidates = candidates(contact, self.layout, listed, distance)
         self.corners = c = self.layout.corners(
@@ -81,7 +81,7 @@ class ActiveRigidContact(ActiveContact):
         self.x: Array = c.x.copy()
         self.now = ContactForces.zero(*c.x.shape)
         self.start = self._at_start(displacement.growth is not None)
-        self._explicit = means is None and displacement.growth is not None
+        self._explicit = mean_weights is None and displacement.growth is not None
 
     def _near_corners(self, x: Array, distance: float) -> Which:
         """Choose the corners near the body, and keep the surface's values at these corners.
@@ -127,7 +127,7 @@ class ActiveRigidContact(ActiveContact):
         displacement = DisplacementBasis.of(
             here.fields[k], here.total, len(contact.points), contact.in_time
         )
-        return ActiveRigidContact(contact, displacement, k, means=contact.means)
+        return ActiveRigidContact(contact, displacement, k, mean_weights=contact.mean_weights)
 
     def fault(self, new: NewState) -> str | None:
         """See `ActiveTerm`: points that passed through the body or entered it. Collective."""
@@ -147,8 +147,8 @@ class ActiveRigidContact(ActiveContact):
         if not len(self.x):
             return
         own = u[self.field]
-        if self.means is not None and self.means.scale != scale:
-            own = self.means.scale / scale * own
+        if self.mean_weights is not None and self.mean_weights.scale != scale:
+            own = self.mean_weights.scale / scale * own
         displacement = self.corners.stencils.displacement(own)
         self.compute(displacement, self.clings and not own.any())
 
@@ -196,7 +196,7 @@ class ActiveRigidContact(ActiveContact):
         """
         now, start, law = self.now, self.start, self.contact.law
         now.clear()
-        if self.means is not None:
+        if self.mean_weights is not None:
             self._compute_means(c, at, probe)
             return
         if not c.size:
@@ -264,7 +264,7 @@ class ActiveRigidContact(ActiveContact):
     def derivative(self, active: Rows) -> Array:
         """Derivative of the forces by the corners' positions (N/m), shape (n, gdim, gdim)."""
         Q = self.contact.body.pose.rotation
-        P = Q if self.means is None else self._middle_rotation
+        P = Q if self.mean_weights is None else self._middle_rotation
         return np.einsum("ij,cjk,lk->cil", P, self.now.derivative[active], Q)
 
     # -- resultants, energy and state -------------------------------------------
@@ -272,7 +272,7 @@ class ActiveRigidContact(ActiveContact):
     def lever(self) -> Array:
         """Lever arms from the body's centre to the forces in the step (m), shape (m, gdim)."""
         body = self.contact.body
-        if self.means is None:
+        if self.mean_weights is None:
             return np.asarray(self.x - body.pose.centre)
         middle = 0.5 * (self.corners.x + self.x)
         return np.asarray(middle - 0.5 * (body.start.centre + body.pose.centre))
@@ -337,7 +337,7 @@ class ActiveRigidContact(ActiveContact):
         """Work dissipated by friction in this step (J), on all ranks. Collective."""
         slips = np.flatnonzero(self.states == SLIPS)
         done = float(self.now.loss.sum())
-        if slips.size and self.means is None:
+        if slips.size and self.mean_weights is None:
             at = self.contact.body.pose.back(self.x[slips])
             n = self.contact.body.surface.probe(at)[1]
             stiffness = self.contact.law.slip_share * self.start.stiffness[slips]

@@ -64,7 +64,7 @@ def add_body_rows(contact: ActiveRigidContact, by_x: Array, by_y: Array) -> None
 
 def _own_share(contact: ActiveRigidContact) -> float:
     """Share of the step's end in the position where forces act."""
-    return 1.0 if contact.means is None else 0.5
+    return 1.0 if contact.mean_weights is None else 0.5
 
 
 def cross_matrix(arms: Array) -> Array:

@@ -129,14 +129,14 @@ class ActiveContact(ActiveTerm):
 
     Attributes:
         contact: The contact of the form.
-        means: Weights of mean forces over a step in its balance; None for forces at its end.
+        mean_weights: Weights of mean forces over a step in its balance; None for forces at its end.
         start: State of the contact points at the start of the step.
         now: Forces on the contact points.
     """
 
     kind = "contact"
     contact: Any
-    means: MeanForceWeights | None
+    mean_weights: MeanForceWeights | None
     start: ContactStart
     now: ContactForces
 
@@ -158,12 +158,13 @@ class ActiveContact(ActiveTerm):
     @property
     def force_weight(self) -> float:
         """Weight of the forces in a step's balance."""
-        return 1.0 if self.means is None else self.means.weight
+        return 1.0 if self.mean_weights is None else self.mean_weights.weight
 
     @property
     def tangent_weight(self) -> float:
         """Weight of derivatives of forces by the increments in a step's balance."""
-        return 1.0 if self.means is None else self.means.weight * self.means.scale
+        weights = self.mean_weights
+        return 1.0 if weights is None else weights.weight * weights.scale
 
     def augment(self) -> bool:
         """See `ActiveTerm`: normal forces become multipliers if a penetration exceeds the bound.

@@ -261,7 +261,7 @@ class BodiesAtSides:
         faces: Sides that act on the bodies, or None.
         bodies: Nodal sums of each body.
         here: The activation.
-        held: Prescribed velocities (m/s), shape (nodes, d).
+        prescribed: Prescribed velocities (m/s), shape (nodes, d).
         kick: Time during which forces act (s).
         kinks: Where the nodes that touch and slip are kept, or None.
     """
@@ -271,26 +271,26 @@ class BodiesAtSides:
         faces: Faces | None,
         bodies: Sequence[BodyAtNodes],
         here: Activation,
-        held: Array,
+        prescribed: Array,
         kick: float,
         kinks: Kinks | None,
     ):
         unknowns = here.unknowns.fields[0]
-        self._faces, self._bodies, self._held = faces, bodies, held
+        self._faces, self._bodies, self._prescribed = faces, bodies, prescribed
         self._kick, self._kinks = kick, kinks
         self._fixed, self._owned = unknowns.fixed, unknowns.owned_nodes
         self._moving = np.zeros_like(self._fixed)
         if here.driven:
             own = self._owned
-            self._moving[own] = self._fixed[own] & (held[own] != 0.0)
+            self._moving[own] = self._fixed[own] & (prescribed[own] != 0.0)
         # velocities taken by frictional sides, and by dashpots
-        self._stopped: list[Array] = [np.zeros_like(held) for _ in bodies]
+        self._stopped: list[Array] = [np.zeros_like(prescribed) for _ in bodies]
         self._absorbed: list[Array] = []
 
     def constrain(self, velocities: Sequence[Array]) -> None:
         """Set the velocities of prescribed components (m/s), shape (nodes, d) per body."""
         for V in velocities:
-            V[self._fixed] = self._held[self._fixed]
+            V[self._fixed] = self._prescribed[self._fixed]
 
     def absorb(self, velocities: Sequence[Array]) -> None:
         """Apply dashpots. Bodies at one node share a dashpot in proportion to their masses.
@@ -320,21 +320,21 @@ class BodiesAtSides:
         Returns:
             Work of the prescribed motions at nodes of this rank (J).
         """
-        work, moving, held = 0.0, self._moving, self._held
+        work, moving, prescribed = 0.0, self._moving, self._prescribed
         for body, V, stopped in zip(self._bodies, velocities, self._stopped):
             if self._faces is not None:
                 V += stopped
                 stopped[:] = V
-                self._faces.rub(V, self._kinks)
+                self._faces.apply_friction(V, self._kinks)
                 stopped -= V
                 stopped[self._fixed] = 0.0
             m = np.broadcast_to(body.mass[:, None], V.shape)[moving]
-            work += float(np.sum(m * (held[moving] - V[moving]) * held[moving]))
+            work += float(np.sum(m * (prescribed[moving] - V[moving]) * prescribed[moving]))
         self.constrain(velocities)
         return work
 
     def constrain_stopped(self, mapped: Sequence[Array]) -> None:
-        """Hold nodes that frictional sides have stopped, see `Faces.settle`.
+        """Hold nodes that frictional sides have stopped, see `Faces.constrain_stopped`.
 
         Args:
             mapped: Velocities mapped from the points of each body (m/s), shape (nodes, d) each.
@@ -343,7 +343,7 @@ class BodiesAtSides:
         if self._faces is None:
             return
         for V, stopped in zip(mapped, self._stopped):
-            self._faces.settle(stopped, V, self._kinks)
+            self._faces.constrain_stopped(stopped, V, self._kinks)
         self.constrain(mapped)
 
     def losses(self, strains: Sequence[Array], dt: float) -> Array:

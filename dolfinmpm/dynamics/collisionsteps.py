@@ -250,7 +250,7 @@ class SeveralBodies:
         self._problem, self._points, self._here = problem, problem.points, here
         self._rows, self._settings = rows, settings
         self._stencils = [selected(here.fields[0].stencils, own) for own in rows]
-        self._m = settings.scaling * point_masses(self._points)
+        self._m = settings.mass_scaling * point_masses(self._points)
         self.at_nodes = [self._sums_of(s) for s in self._stencils]
 
     def _summed(self, components: int, add: Callable[[Array], None]) -> Array:
@@ -273,7 +273,7 @@ class SeveralBodies:
         sums = self._summed(2, lambda out: scatter(s, np.ones(len(m)), both, out))
         weights = m[:, None, None] * np.eye(d)
         slope = self._summed(d, lambda out: scatter_stress(s, weights, out))
-        return BodyAtNodes(self._settings.scaling * sums[:, 0], sums[:, 1], slope)
+        return BodyAtNodes(self._settings.mass_scaling * sums[:, 0], sums[:, 1], slope)
 
     @stages.assemble
     def velocities(self, v: Array, sides: BodiesAtSides, ends: bool = False) -> list[Array]:

@@ -194,7 +194,7 @@ class Explicit(MovingBody, Problem):
         self.form.add(terms)
         self.form.start_in_time(None)
         self.scheme.settings, self.scheme.terms, self.time = settings, terms, 0.0
-        ledger = Ledger(points, self.form, self.bodies, settings.scaling, by_points=True)
+        ledger = Ledger(points, self.form, self.bodies, settings.mass_scaling, by_points=True)
         self.balance = EnergyBalance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
@@ -240,7 +240,7 @@ class Explicit(MovingBody, Problem):
         """
         settings, collides = self.settings, isinstance(self._loop, CollisionSteps)
         resists = settings.damping or settings.viscosity != (0.0, 0.0)
-        if not (collides or self._loop.sides.rubbing or self.bodies.contacts or resists):
+        if not (collides or self._loop.sides.frictional or self.bodies.contacts or resists):
             return None
         if isinstance(self._loop, FusedSteps):
             why = "it is watched where steps are not smooth"
@@ -278,12 +278,12 @@ class Explicit(MovingBody, Problem):
             exact: True gives 2/√λ_max of the eigenproblem K x = λ M x in the present state. The
                 tangent is then compiled. False gives an estimate by wave speed and grid.
         """
-        scaling, loop = self.settings.scaling, self._loop
+        mass_scaling, loop = self.settings.mass_scaling, self._loop
         if truth("exact", exact):
             here = self.activate()
             if self.form.boundaries:
                 here, _ = weighed(self.form, here)
-            return self._by_viscosity(exact_step(self.form, self.terms, here, scaling))
+            return self._by_viscosity(exact_step(self.form, self.terms, here, mass_scaling))
         self.form.bind()
         field, declarations = self.fields[0], self.form.parts.declarations
         tied = (
@@ -296,9 +296,9 @@ class Explicit(MovingBody, Problem):
         )
         # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
-        held = loop.held() if isinstance(loop, GeneralSteps) else Stiffness()
-        rate = (1.0 + held.share) / found**2 + 0.25 * (springs + held.rate)
-        return self._by_viscosity(math.sqrt(scaling / rate))
+        boundaries = loop.boundary_stiffness() if isinstance(loop, GeneralSteps) else Stiffness()
+        rate = (1.0 + boundaries.share) / found**2 + 0.25 * (springs + boundaries.rate)
+        return self._by_viscosity(math.sqrt(mass_scaling / rate))
 
     def _by_viscosity(self, longest: float) -> float:
         """The longest stable step (s), from that without bulk viscosity. Collective."""
@@ -373,7 +373,7 @@ class Marching(Scheme):
         """See `Scheme`."""
         own, kind = self._problem.settings, self._problem.terms.kind
         steps = f"scheme = {own.scheme}, {kind} mass, damping = {own.damping:g}"
-        return {"steps": f"{steps}, mass_scaling = {own.scaling:g}"}
+        return {"steps": f"{steps}, mass_scaling = {own.mass_scaling:g}"}
 
     def identity(self) -> dict[str, Any]:
         """See `Scheme`."""

@@ -76,7 +76,7 @@ class Settings:
         scheme: Order of the stress update.
         mapping: The velocity mapping between points and grid.
         damping: Share of local damping.
-        scaling: Factor of the mass in the inertia.
+        mass_scaling: Factor of the mass in the inertia.
         viscosity: Linear and quadratic coefficients of bulk viscosity.
         filters: Filters of light nodes.
         clock: DOLFINx constant that holds the time (s), or None.
@@ -85,7 +85,7 @@ class Settings:
     scheme: str
     mapping: Mapping
     damping: float
-    scaling: float
+    mass_scaling: float
     viscosity: tuple[float, float]
     filters: tuple[Filter, ...]
     clock: fem.Constant | None

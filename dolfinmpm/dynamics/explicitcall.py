@@ -274,19 +274,19 @@ class ExplicitCall:
     def _check_speeds(self, dt: float) -> None:
         """Raise if rigid bodies are too fast for steps of a length (s). Collective."""
         bodies = self._problem.bodies
-        fault = bodies.fault(dt)
+        fault = bodies.too_fast(dt)
         advice = "give a smaller velocity, or a smaller courant number"
         raise_together(
             self._problem.comm, None if fault is None else ParameterError(f"{fault}; {advice}")
         )
         # forces drive free bodies in the same way on all ranks
-        fault = bodies.fault(dt, inertia=True) if bodies.free else None
+        fault = bodies.too_fast(dt, inertia=True) if bodies.free else None
         if fault is not None:
             raise self._unstable(fault, dt)
 
     def _check_energy(self, begins: bool = False) -> None:
         """Raise InstabilityError if energy grows without a cause. Collective."""
-        reason = self._problem.balance.fault(begins)
+        reason = self._problem.balance.gain(begins)
         if reason is not None:
             raise self._unstable(reason, self._record.dt)
 

@@ -97,7 +97,7 @@ class Sides:
         return len(self._faces)
 
     @property
-    def rubbing(self) -> bool:
+    def frictional(self) -> bool:
         """Whether bodies touch and leave a face, and rub along it."""
         return any(face.friction is not None for face in self._faces)
 
@@ -172,7 +172,7 @@ class Faces:
         box: Array | None = None,
     ):  # fmt: skip
         self._d, self._basis, self._axisymmetric = d, basis, axisymmetric
-        self._rubbing: list[tuple[Nodes, int, float, float]] = []
+        self._frictional: list[tuple[Nodes, int, float, float]] = []
         self._absorbing: list[tuple[Any, Nodes]] = []
         self.dashpots: Array | None = None
         # nodes, direction, dashpots and velocity of each wave
@@ -182,7 +182,7 @@ class Faces:
             nodes = _nodes(face, basis)
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
-                self._rubbing.append((nodes, face.axis, outward, face.friction))
+                self._frictional.append((nodes, face.axis, outward, face.friction))
             if face.impedance is not None:
                 self._absorbing.append((face, nodes))
             if face.column is not None:
@@ -261,17 +261,17 @@ class Faces:
             dashpots (N s/m), shape (size, d), or (0, d) without dashpots. Room for the momentum
             that frictional faces take in a step (kg m/s), likewise.
         """
-        marks = np.zeros(size if self._rubbing else 0, np.uint64)
-        rubbing = np.array([one[1:] for one in self._rubbing]).reshape(-1, 3)
-        for k, (nodes, *_) in enumerate(self._rubbing):
+        marks = np.zeros(size if self._frictional else 0, np.uint64)
+        friction = np.array([one[1:] for one in self._frictional]).reshape(-1, 3)
+        for k, (nodes, *_) in enumerate(self._frictional):
             rows = place[nodes]
             marks[rows[rows >= 0]] |= np.uint64(1 << k)
         dashpots = np.zeros((0 if self.dashpots is None else size, self._d))
         if self.dashpots is not None:
             dashpots[place[place >= 0]] = self.dashpots[place >= 0]
-        return marks, rubbing, dashpots, np.zeros((marks.size, self._d))
+        return marks, friction, dashpots, np.zeros((marks.size, self._d))
 
-    def rub(self, V: Array, kinks: Kinks | None = None) -> None:
+    def apply_friction(self, V: Array, kinks: Kinks | None = None) -> None:
         """Stop nodes that would move out, and apply friction to sliding nodes.
 
         Args:
@@ -279,7 +279,7 @@ class Faces:
             kinks: Where the nodes that touch and slip are kept, or None.
         """
         speed = 0.0 if kinks is None else float(np.abs(V).max(initial=0.0))
-        for rows, axis, outward, mu in self._rubbing:
+        for rows, axis, outward, mu in self._frictional:
             out = outward * V[rows, axis]
             rows, out = rows[out > 0], out[out > 0]
             V[rows, axis] = 0.0
@@ -291,7 +291,7 @@ class Faces:
             for k in along:
                 V[rows, k] *= left
 
-    def settle(self, taken: Array, mapped: Array, kinks: Kinks | None = None) -> None:
+    def constrain_stopped(self, taken: Array, mapped: Array, kinks: Kinks | None = None) -> None:
         """Hold nodes that the faces have stopped.
 
         Points around a stopped node move, and map a velocity to it. A body that strained by this
@@ -299,12 +299,13 @@ class Faces:
         holds by no more than the impulse that it has given, and friction by what it has left.
 
         Args:
-            taken: What `rub` has taken from the velocities of the nodes (m/s), shape (nodes, d).
+            taken: What `apply_friction` has taken from the velocities of the nodes (m/s), shape
+                (nodes, d).
             mapped: Velocities of the points, mapped to the nodes (m/s), likewise. Changed.
-            kinks: See `rub`.
+            kinks: See `apply_friction`.
         """
         speed = 0.0 if kinks is None else float(np.abs(mapped).max(initial=0.0))
-        for rows, axis, outward, mu in self._rubbing:
+        for rows, axis, outward, mu in self._frictional:
             out = outward * taken[rows, axis]
             rows, out = rows[out > 0], out[out > 0]
             normal = mapped[rows, axis]

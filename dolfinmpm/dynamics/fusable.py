@@ -65,7 +65,7 @@ def why_not(problem: Any, settings: Settings, sides: Sides, options: dict[str, A
         return "loads depend on functions of the grid, or on fields that a step changes"
     if sides.incoming:
         return "waves come in through a side"
-    if sides.rubbing and settings.scheme == "usf":
+    if sides.frictional and settings.scheme == "usf":
         return 'frictional sides with scheme="usf"'
     return None
 

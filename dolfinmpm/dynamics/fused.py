@@ -107,7 +107,7 @@ class FusedSteps:
         self.done[:2] = self.done[3:] = 0.0
         if self._rigid is not None:
             external, self._rigid.work = external + self._rigid.work, 0.0
-        projected = self._settings.scaling * mapped
+        projected = self._settings.mass_scaling * mapped
         found = Work(external, internal, grid, projected, start, late=late)
         if self._rigid is not None:
             found.late, found.late_bodies = late + self._rigid.late[0], self._rigid.late[1]
@@ -198,7 +198,7 @@ class FusedSteps:
                     self._arrays.publish()
                 self._laws.scatter()
                 with stages.migrate:
-                    migrated += self._window.cells.settle(self._points)
+                    migrated += self._window.cells.update(self._points)
                 self._worth.live = False
         self._worth.live = self._worth.live and reason is None
         self._window.cells.steps += taken
@@ -255,7 +255,7 @@ class FusedSteps:
                 rows = skipped[0]
             if bad < 0 and left:
                 bad, *_ = self._loop(parts, dt, switches, rows[:left].copy(), True, means)
-        return self._together(bad)
+        return self._failure_of(bad)
 
     def _loop(
         self, parts: Pass, dt: float, switches: Switches, rows, general: bool, means: int = 0
@@ -279,7 +279,7 @@ class FusedSteps:
             arrays.skipped, self.done,
         )  # fmt: skip
 
-    def _together(self, bad: int) -> str | None:
+    def _failure_of(self, bad: int) -> str | None:
         points = self._points
         found = None
         if bad >= 0:
@@ -329,7 +329,8 @@ class FusedSteps:
         out, nodes, fixed, before = window.out, window.nodes, prescribed.fixed, prescribed.before
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
         weight = (
-            window.sides, window.own, self._loads.gravity, dt, kick, settings.scaling, self.done
+            window.sides, window.own, self._loads.gravity, dt, kick, settings.mass_scaling,
+            self.done,
         )  # fmt: skip
         rigid = self._rigid
         if rigid is not None:
@@ -348,7 +349,7 @@ class FusedSteps:
             rigid.press(out, usf)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
-            pushed, self._loads.gravity, dt, kick, step.begins, settings.scaling,
+            pushed, self._loads.gravity, dt, kick, step.begins, settings.mass_scaling,
             settings.damping, usf, usf or usl, self.done,
         )  # fmt: skip
         changes = window.at_points(pushed, self._points) if apart else None

@@ -71,7 +71,7 @@ class NeighbourList:
         self._bounded = self._layout().boxes
         # points that touched keep their forces until the end of the next step
         normal_forces = self.contact.points[self.contact.names.normal_force]
-        self._held = np.unique(np.flatnonzero(normal_forces) // normal_forces.shape[1])
+        self._touched = np.unique(np.flatnonzero(normal_forces) // normal_forces.shape[1])
 
     def rows(self, path: float) -> Rows:
         """The points, increasing, with the body at the end of the step.
@@ -118,9 +118,9 @@ class NeighbourList:
         """Write the state of the contact at the end of a step to the points."""
         points, c = self.contact.points, active.corners
         for name, values in active.end_state():
-            points[name][self._held] = 0.0
+            points[name][self._touched] = 0.0
             points[name][c.rows, c.which] = values
-        self._held = c.rows[active.now.normal != 0.0]
+        self._touched = c.rows[active.now.normal != 0.0]
 
     def _layout(self) -> CornerLayout:
         contact = self.contact

@@ -190,8 +190,8 @@ def kernel(
                         cell += centre_cell(lines, i, n, degree, x, cell_step)
                     else:
                         shares_of(
-                            d, general, lines, uniform, degree, per_length, x, reach, i, n, S, dS,
-                            L, room, part, slope,
+                            d, general, lines, uniform, degree, per_length, x, reach, i, n, dS, L,
+                            room, part, slope,
                         )  # fmt: skip
                     if taken:
                         take(d, F, p, f)
@@ -212,7 +212,7 @@ def kernel(
                         if affine or share < 1.0:
                             both = pushed + mapped
                             if not strain:
-                                # strains follow the new velocities, see `halfstep.mapping_loss`
+                                # strains follow the new velocities, see `energies.mapping_loss`
                                 both -= dv[k]
                             projected += mp * (pushed - mapped) * both
                         v[p, k] = v_new[k] if affine else mapped

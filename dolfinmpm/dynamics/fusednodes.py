@@ -322,7 +322,7 @@ def centre_cell(lines, i, n, degree, x, step):
 
 @numba.njit(**INLINE)
 def shares_of(
-    d, general, lines, uniform, degree, per_length, x, half, i, n, S, dS, L, room, part, slope
+    d, general, lines, uniform, degree, per_length, x, half, i, n, dS, L, room, part, slope
 ):  # fmt: skip
     """Write a point's shares in cells, or in splines one degree lower, per direction."""
     if general:

@@ -76,7 +76,7 @@ class GeneralSteps(ExplicitBase):
         """Whether the points' stress gives all internal forces except those of boundaries."""
         return only_momentum(self._problem.form, boundaries=False)
 
-    def held(self) -> Stiffness:
+    def boundary_stiffness(self) -> Stiffness:
         """Stiffness added by boundaries in the last step. Collective."""
         problem = self._problem
         if not problem.form.boundaries:
@@ -104,8 +104,8 @@ class GeneralSteps(ExplicitBase):
         here = self._activated(step)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()
-        mass = Mass(problem.terms, here, settings.scaling)
-        held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
+        mass = Mass(problem.terms, here, settings.mass_scaling)
+        prescribed: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         momenta = self._momenta(mass, field, x_node)
         last = step.t - 0.5 * dt - step.kick
         (before,) = velocities_at(problem, here, step, lambda v: v(last) * dt / step.share)
@@ -118,29 +118,29 @@ class GeneralSteps(ExplicitBase):
         V_strain, strained = self._before_forces(operator, mass, V, step)
         predicted = strained * V_strain if settings.scheme == "usf" else None
         at_start = boundary_forces(operator)
-        held_by = self._held_by(operator, at_start, predicted)
+        by_boundaries = self._of_boundaries(operator, at_start, predicted)
         forces = self._forces(operator, mass, s, predicted)
         if isinstance(forces, str):
             return forces
-        if held_by is not None:
-            forces.arrays[0][:] -= held_by
+        if by_boundaries is not None:
+            forces.arrays[0][:] -= by_boundaries
         self._watch(operator, False)
         problem.bodies.push(problem.bodies.acting(operator), step.kick)
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end, stopped = self._end((V, A), mass, here, held, step)
+        V_end, stopped = self._end((V, A), mass, here, prescribed, step)
         new = self._to_points(operator, field, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_move = V_end
         if settings.scheme == "musl":
-            V_move = mass.solve(self._momenta(mass, field, x_node, new), held).arrays[0]
+            V_move = mass.solve(self._momenta(mass, field, x_node, new), prescribed).arrays[0]
             if stopped is not None:
-                self._settle(here, stopped, V_move)
+                self._constrain_stopped(here, stopped, V_move)
         V_strain = V_strain if settings.scheme == "usf" else V_move
         moved = points["x"] + dt * collect(s, V_move)
         operator.set_increments([strained * V_strain])
-        if held_by is not None and settings.clock is not None:
+        if by_boundaries is not None and settings.clock is not None:
             # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
         problem.bodies.put(1.0)
@@ -153,11 +153,12 @@ class GeneralSteps(ExplicitBase):
         self._work.add_stresses(points, state.fields, operator)
         if step.begins:
             self._work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
-        self._count(mass, V, V_end, dt)
+        self._add_losses(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
-        held_work, late_work, _ = works_of_boundaries(operator, at_start, state)
+        boundary_work, late_work, _ = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
-        self._work.external += held_work + problem.bodies.commit(problem.bodies.acting(operator))
+        of_bodies = problem.bodies.commit(problem.bodies.acting(operator))
+        self._work.external += boundary_work + of_bodies
         return commit(points, state)
 
     def _watch(self, operator: Operator, ends: bool) -> None:
@@ -183,17 +184,17 @@ class GeneralSteps(ExplicitBase):
             gradient = operator.points.gradient[0] / dt
         return mapping.to_points(points, field, x_node, motion, mass, dt, 1.0, gradient)
 
-    def _find_lateness(self, operator: Operator, net: float, grid: float, held: float) -> None:
+    def _find_lateness(self, operator: Operator, net: float, grid: float, late: float) -> None:
         """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
 
         Args:
             operator: The step's equations, at the end of the step.
             net, grid: Sums of `Work` before the step (J).
-            held: Work of the boundaries' forces at the end of the step (J).
+            late: Work of the boundaries' forces at the end of the step (J).
         """
         work, bodies = self._work, self._problem.bodies
-        late = self._settings.scheme == "usf"
-        work.late = lateness(work.net - net, work.latest - held, work.grid - grid, late)
+        stress_is_late = self._settings.scheme == "usf"
+        work.late = lateness(work.net - net, work.latest - late, work.grid - grid, stress_is_late)
         if bodies.contacts:
             acting, comm = bodies.acting(operator), self._problem.comm
             more, work.late_bodies = lateness_by_contact(bodies, acting, comm)
@@ -208,7 +209,7 @@ class GeneralSteps(ExplicitBase):
             change: Changes of velocity of the nodes at the points (m/s), shape (points, d).
         """
         points, settings = self._problem.points, self._settings
-        m = settings.scaling * point_masses(points)
+        m = settings.mass_scaling * point_masses(points)
         filtered = settings.scheme != "usl"
         own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         return mass.comm.allreduce(own, op=MPI.SUM)
@@ -218,7 +219,7 @@ class GeneralSteps(ExplicitBase):
         """Momenta of the nodes from the points' velocities, or from new velocities. Collective."""
         momenta = mass.nodal()
         self._settings.mapping.to_grid(self._problem.points, field, x_node, momenta, new)
-        momenta.arrays[0][...] *= self._settings.scaling
+        momenta.arrays[0][...] *= self._settings.mass_scaling
         return momenta
 
     @stages.assemble
@@ -256,7 +257,7 @@ class GeneralSteps(ExplicitBase):
             forces.arrays[0][:] -= operator.forces_of("contact")[0]
         return forces
 
-    def _held_by(
+    def _of_boundaries(
         self, operator: Operator, at_start: list[Array] | None, u: Array | None
     ) -> Array | None:
         """Internal forces of boundaries, at the start or after an increment u. Collective."""
@@ -295,7 +296,7 @@ class GeneralSteps(ExplicitBase):
 
     @stages.solve
     def _end(
-        self, motion: tuple[Array, Array], mass: Mass, here: Activation, held: Array,
+        self, motion: tuple[Array, Array], mass: Mass, here: Activation, prescribed: Array,
         step: ExplicitStep,
     ) -> tuple[Array, Array | None]:  # fmt: skip
         """Velocities at the end of a step, with faces of the grid and conditions. Collective.
@@ -309,24 +310,24 @@ class GeneralSteps(ExplicitBase):
         faces = self.sides.on(here.fields[0].basis, step)
         fixed = here.unknowns.fields[0].fixed
         if faces is not None and faces.dashpots is not None:
-            V_end[fixed] = held[fixed]
+            V_end[fixed] = prescribed[fixed]
             V_end = self._damped(V, V_end, mass, here, faces, step)
         stopped = None
-        if faces is not None and self.sides.rubbing:
+        if faces is not None and self.sides.frictional:
             free = V_end.copy()
-            faces.rub(V_end, self.kinks)
+            faces.apply_friction(V_end, self.kinks)
             stopped = free - V_end
             # what conditions hold is not moved by friction
             stopped[fixed] = 0.0
-        V_end[fixed] = held[fixed]
+        V_end[fixed] = prescribed[fixed]
         return V_end, stopped
 
-    def _settle(self, here: Activation, taken: Array, V: Array) -> None:
-        """Hold nodes that frictional faces have stopped, but for conditions; see `Faces.settle`."""
+    def _constrain_stopped(self, here: Activation, taken: Array, V: Array) -> None:
+        """See `Faces.constrain_stopped`. What conditions prescribe stays."""
         faces, fixed = self.sides.on(here.fields[0].basis), here.unknowns.fields[0].fixed
         assert faces is not None
         given = V[fixed]
-        faces.settle(taken, V, self.kinks)
+        faces.constrain_stopped(taken, V, self.kinks)
         V[fixed] = given
 
     def _before_forces(
@@ -341,17 +342,18 @@ class GeneralSteps(ExplicitBase):
         if self._settings.scheme != "usf":
             return V, step.dt
         last, faces = step.before, self.sides.on(here.fields[0].basis)
-        if faces is None or not self.sides.rubbing:
+        if faces is None or not self.sides.frictional:
             return V, last
         forces = self._forces(operator, mass, here.fields[0].stencils, None)
         assert isinstance(forces, Nodal)
-        if (held_by := self._held_by(operator, boundary_forces(operator), None)) is not None:
-            forces.arrays[0][:] -= held_by
+        by_boundaries = self._of_boundaries(operator, boundary_forces(operator), None)
+        if by_boundaries is not None:
+            forces.arrays[0][:] -= by_boundaries
         free = V + step.kick * mass.solve(forces, np.zeros_like(V)).arrays[0]
-        V_end, settled = free.copy(), V.copy()
-        faces.rub(V_end, self.kinks)
-        self._settle(here, free - V_end, settled)
-        return settled, last
+        V_end, stopped_too = free.copy(), V.copy()
+        faces.apply_friction(V_end, self.kinks)
+        self._constrain_stopped(here, free - V_end, stopped_too)
+        return stopped_too, last
 
     def _damped(
         self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces,
@@ -367,7 +369,7 @@ class GeneralSteps(ExplicitBase):
         if problem.terms.kind == "consistent":
             damped, at_side = sides.consistent(V_end)
         elif settings.gives_back and (faces.incoming or field.C is not None):
-            weight = settings.scaling * point_masses(problem.points)
+            weight = settings.mass_scaling * point_masses(problem.points)
             damped, at_side = sides.lumped(V_end, V, field.stencils, weight)
         else:
             # as in the fused loop
@@ -377,7 +379,7 @@ class GeneralSteps(ExplicitBase):
         self._work.losses["damping"] += lost
         return damped
 
-    def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
+    def _add_losses(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
         """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
 
         Collective. Kinetic energy of a ghost mass exists only within a step. It is no loss, because

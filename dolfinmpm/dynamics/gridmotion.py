@@ -59,12 +59,12 @@ class GridMotion:
         nodes: Nodes of each field that moves points, at the start of the last step.
         varying: Whether any load changes in the present step.
         walls: Work of walls so far.
-        held_at_start: Forces of boundaries at the start of the step (N), shape (nodes, components)
-            per field, or None without boundaries.
+        boundary_forces: Forces of boundaries at the start of the step (N), shape
+            (nodes, components) per field, or None without boundaries.
     """
 
     nodes: list[MovingNodes]
-    held_at_start: list[Array] | None = None
+    boundary_forces: list[Array] | None = None
 
     def __init__(
         self,
@@ -111,11 +111,11 @@ class GridMotion:
         start, self._times = None, (step.t - step.dt, step.t)
         for k in here.movers:
             self._sides.on(here.fields[k].basis, step)
-        self.held_at_start = None
+        self.boundary_forces = None
         if self._starting or self.rule.by_forces or form.boundaries:
             plain = Operator(form, here)
             plain.move_to_start()
-            self.held_at_start = boundary_forces(plain)
+            self.boundary_forces = boundary_forces(plain)
         if self._starting or self.rule.by_forces:
             start = plain.forces(without=("contact",))
         self.nodes = [

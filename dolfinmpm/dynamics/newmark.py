@@ -113,7 +113,7 @@ class TimeStepping(MovingBody, QuasiStatic):
         scheme.motion = GridMotion(points, rule, chosen, terms, sides, ledger)
         check_masses(self.bodies)
         self.form.add(terms)
-        self.form.start_in_time(scheme.means)
+        self.form.start_in_time(scheme.mean_weights)
 
     @property
     def motion(self) -> GridMotion:

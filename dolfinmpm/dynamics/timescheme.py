@@ -183,7 +183,7 @@ class NewmarkScheme(TimedScheme):
         self.rule, self.ties_movers, self.jumped = rule, ties_movers, False
 
     @property
-    def means(self) -> MeanForceWeights:
+    def mean_weights(self) -> MeanForceWeights:
         """Weights of contact forces in the mean over a step."""
         rule = self.rule
         return MeanForceWeights(
@@ -259,7 +259,7 @@ class NewmarkScheme(TimedScheme):
         if isinstance(solver, Bordered) and isinstance(solver.border, FreeBodies):
             solver.border.inertial = Inertial(
                 rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f,
-                weight=self.means.weight,
+                weight=self.mean_weights.weight,
             )  # fmt: skip
 
     def count(self, work: float) -> None:
@@ -284,18 +284,20 @@ class NewmarkScheme(TimedScheme):
         if isinstance(state, str):
             return state
         self._load_at(problem, step, 1.0)
-        held_work, _, of_walls = works_of_boundaries(operator, motion.held_at_start, state, level)
+        boundary_work, _, of_walls = works_of_boundaries(
+            operator, motion.boundary_forces, state, level
+        )
         self._load_at(problem, step, 0.5)
         may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings
         motions = motion.ends(operator, step.dt)
         reason, largest = self._judge(motions, operator.here, step.dt)
         if reason is None:
-            whole = motion.ledger.whole + held_work
+            whole = motion.ledger.whole + boundary_work
             reason = motion.walls.judge(of_walls, whole, step.dt, may_halve)
         if reason is None:
             reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
         if reason is None:
-            self.count(held_work)
+            self.count(boundary_work)
             motion.walls.done += of_walls
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt

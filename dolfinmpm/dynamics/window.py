@@ -103,7 +103,7 @@ class CellFinder:
             points.fields[name] = values[order]
         points.revision += 1
 
-    def settle(self, points: MaterialPoints) -> int:
+    def update(self, points: MaterialPoints) -> int:
         """Update cells and ranks of the points; returns how many changed rank. Collective."""
         lost = _cells(
             points["x"], self._flat, self._starts, self._scale, self._origin, self._table,
@@ -269,7 +269,7 @@ class Prescribed:
     """Prescribed velocities of the nodes of a window.
 
     Args:
-        held: Essential conditions.
+        conditions: Essential conditions.
 
     Attributes:
         fixed: Mask of the prescribed components, shape (nodes, d).
@@ -285,8 +285,8 @@ class Prescribed:
     _window: Window | None
     _rate: float
 
-    def __init__(self, held: EssentialConditions):
-        self._held, self._window = held, None
+    def __init__(self, conditions: EssentialConditions):
+        self._conditions, self._window = conditions, None
         # last mask, values and rate
         self._known: tuple[Any, ...] = (None, None, math.nan)
         # present values of velocities prescribed as functions of time
@@ -312,11 +312,11 @@ class Prescribed:
     def _take(self) -> None:
         window, (known, old, rate) = self._window, self._known
         assert window is not None
-        (fixed,), (values,) = self._held.at([window.basis], 1.0)
+        (fixed,), (values,) = self._conditions.at([window.basis], 1.0)
         # the mask, and values that never change, keep their arrays while they are valid
         if fixed is not known:
             self.fixed = window.from_basis(fixed)
-        same = values is old and (rate == self._rate or not self._held.changing)
+        same = values is old and (rate == self._rate or not self._conditions.changing)
         if not same:
             self._values = self._rate * window.from_basis(values)
         self.before = self.after = self._values
@@ -328,7 +328,7 @@ class Prescribed:
         Args:
             before, after: Middle of the last step, and of this step (s).
         """
-        conditions = self._held.conditions
+        conditions = self._conditions.conditions
         driven = [c.velocity for c in conditions if c.velocity is not None]
         if not driven:
             return
