@@ -15,8 +15,15 @@ from dolfinx import fem
 from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import ReadOnce
-from dolfinmpm.contact.bodymotion import FreeMotion, Motion, PrescribedMotion, first_rate, vector
-from dolfinmpm.contact.pose import Pose, rotation_of
+from dolfinmpm.contact.bodymotion import (
+    FreeMotion,
+    Motion,
+    Pose,
+    PrescribedMotion,
+    first_rate,
+    rotation_of,
+    vector,
+)
 from dolfinmpm.contact.shapesurface import surface_of
 from dolfinmpm.contact.surfaces import RigidSurface
 from dolfinmpm.contact.tunnelling import half_thickness, travelled

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.contact.bodymotion import Pose
 from dolfinmpm.contact.corners import ALL, CornerLayout, Rows, Which, longest
 from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
-from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.surfaces import Revolved, RigidSurface, Round, Rounded
 
 if TYPE_CHECKING:

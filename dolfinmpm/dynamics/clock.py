@@ -202,7 +202,7 @@ def check_clock(time: Any, grid: Mesh) -> None:
 
 def mean_increment(velocity: VelocityByTime, step: Step) -> float:
     """Increment of a whole step by the trapezoidal rule (m), for a velocity by time."""
-    return velocity.mean_velocity(step.t - step.dt, step.t) * step.dt / step.share
+    return velocity.mean_velocity(step.start, step.t) * step.dt / step.share
 
 
 def set_velocities(

@@ -62,11 +62,6 @@ class ExplicitStep(Step):
         """Length of the step before (s); 0 where a run begins."""
         return 2.0 * self.kick - self.dt
 
-    @property
-    def start(self) -> float:
-        """Time at its start (s)."""
-        return self.t - self.dt
-
 
 @dataclass(frozen=True)
 class Settings:

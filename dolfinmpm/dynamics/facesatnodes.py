@@ -227,7 +227,7 @@ class Faces:
 
         Other sides then end where the ground beside them begins.
         """
-        start = step.t - step.dt
+        start = step.start
         for _, _, _, wave in self._waves:
             wave.check_step(start, step.t)
         if not self._columns:

@@ -81,8 +81,7 @@ class GridMotion:
         self.walls = WallEnergy()
         # whether the accelerations at the start of the next step follow from M a = f
         self._starting = True
-        # times of the start and of the end of the substep (s)
-        self._times = 0.0, 0.0
+        self._step = Step()
 
     def begin(self, jumped: bool, varying: bool) -> None:
         """Begin a step.
@@ -108,7 +107,7 @@ class GridMotion:
             step: The step.
             rates: Velocities of prescribed components (m/s), shape (nodes, d) per field.
         """
-        start, self._times = None, (step.t - step.dt, step.t)
+        start, self._step = None, step
         for k in here.movers:
             self._sides.on(here.fields[k].basis, step)
         self.boundary_forces = None
@@ -160,7 +159,7 @@ class GridMotion:
             if faces is not None and faces.dashpots is not None:
                 forces.arrays[0][:] -= faces.dashpots * V
                 if faces.incoming:
-                    forces.arrays[0][:] += faces.wave_forces(self._times[0])
+                    forces.arrays[0][:] += faces.wave_forces(self._step.start)
         else:
             m = point_masses(points)
             scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
@@ -168,32 +167,31 @@ class GridMotion:
         A = mass.solve(forces, np.zeros_like(V)).arrays[0]
         return MovingNodes(k, field.space.tags, mass, given, V, A)
 
-    def dashpots(self, here: Activation, dt: float) -> Dashpots | None:
+    def dashpots(self, here: Activation) -> Dashpots | None:
         """Dashpots of absorbing faces at the level of balance, or None. Collective."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is None or faces.dashpots is None:
             return None
-        rule, d, c = self.rule, self._points.gdim, faces.dashpots
+        rule, d, c, dt = self.rule, self._points.gdim, faces.dashpots, self._step.dt
         level, one = 1.0 - rule.alpha_f, self.nodes[0]
         rest = rule.acceleration(np.zeros_like(one.V), one.V, one.A, dt)
         start = level * rule.velocity(one.V, one.A, rest, dt) + rule.alpha_f * one.V
         push = c * start
         if faces.incoming:
-            push = push - faces.wave_forces(self._times[0] + level * dt)
+            push = push - faces.wave_forces(self._step.start + level * dt)
         owned = here.unknowns.fields[0].owned_nodes
         nodes = owned[c[owned].any(axis=1)]
         values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
         return Dashpots(Blocks(0, 0, nodes, nodes, values), push, owned)
 
     @stages.commit
-    def ends(self, operator: Operator, dt: float) -> list[NodalMotion]:
-        """Motion of the nodes at the end of a step, per field. Collective.
+    def end(self, operator: Operator) -> None:
+        """Find the motion of the nodes at the end of the step. Collective.
 
         Args:
             operator: The step's equations, with the increments at the end of the step.
-            dt: Length of the step (s).
         """
-        rule, motions = self.rule, []
+        rule, dt = self.rule, self._step.dt
         for one in self.nodes:
             u = operator.increments[one.k]
             A_end = rule.acceleration(u, one.V, one.A, dt)
@@ -202,29 +200,19 @@ class GridMotion:
             if operator.has("contact"):
                 push = self._push(one, operator)
                 V_end, A_end = rule.with_contact(V_end, A_end, push, dt)
-            motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
-        return motions
+            one.motion = NodalMotion(one.V, one.A, V_end, A_end, u, push)
 
     @stages.commit
     def to_points(
-        self,
-        operator: Operator,
-        state: NewState,
-        motions: Sequence[NodalMotion],
-        dt: float,
-        x: Array,
-        scale: float,
-        may_halve: bool,
+        self, operator: Operator, state: NewState, x: Array, scale: float, may_halve: bool
     ) -> str | None:
-        """Add the points' new motion to a new state. Collective.
+        """Add the points' new motion to a new state, after `end`. Collective.
 
         Loads must have their values in the middle of the step, for their work.
 
         Args:
             operator: The step's equations, with the increments at the end of the step.
             state: The new state; the new motion is added to it.
-            motions: Result of `ends`.
-            dt: Length of the step (s).
             x: Unknowns at the level of balance, shape (owned,).
             scale: Increments at the end over increments at the level of balance.
             may_halve: Whether a step that makes energy may be halved.
@@ -232,21 +220,19 @@ class GridMotion:
         Returns:
             The reason to halve the step, or None.
         """
-        points = self._points
-        found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
-        moved, varying = list(zip(self.nodes, motions)), self.varying
-        work = Work(external=work_of_loads(operator, x, scale, moved, dt, varying))
+        points, step = self._points, self._step
+        found = [self._from_nodes(one, operator) for one in self.nodes]
+        loads = work_of_loads(operator, x, scale, self.nodes, step.dt, self.varying)
+        work = Work(external=loads)
         stored: dict[int, float] = {}
         work.add_stresses(points, state.fields, operator)
-        for one, motion in moved:
-            share, expected = (
-                self._ghost_share / scale,
-                self.penalty_energy.share[one.k] * dt * one.V,
-            )
+        for one in self.nodes:
+            expected = self.penalty_energy.share[one.k] * step.dt * one.V
+            share = self._ghost_share / scale
             faces = self._sides.on(operator.here.fields[one.k].basis)
-            stored[one.k] = add_work_of_nodes(work, one, motion, operator, share, expected, faces)
+            stored[one.k] = add_work_of_nodes(work, one, operator, share, expected, faces)
             if faces is not None and faces.incoming:
-                work.external += work_of_waves(faces, self._times, one, motion, operator)
+                work.external += work_of_waves(faces, step, one, operator)
         # with a lumped mass, the mapping changes energy more than the rule does
         if operator.has("contact") and self.terms.kind == "consistent":
             contact = work_of_contact(operator, self.nodes)
@@ -271,9 +257,7 @@ class GridMotion:
         forces.arrays[0][:] = mean_contact_forces(operator)[one.k]
         return one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
 
-    def _from_nodes(
-        self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
-    ) -> dict[str, Array]:
+    def _from_nodes(self, one: MovingNodes, operator: Operator) -> dict[str, Array]:
         """New motion of the points of a field. Rows of other points have no meaning. Collective."""
         points, field = self._points, operator.here.fields[one.k]
         s, x_node = field.stencils, field.basis.node_coordinates()
@@ -282,26 +266,26 @@ class GridMotion:
             points["acceleration"][rows] = collect(s, one.A)[rows]
         gradient = np.zeros((len(points), points.gdim, points.gdim))
         if self.mapping.kind == "tpic":
-            gather(s, motion.V_end, np.empty((len(points), points.gdim)), gradient)
+            gather(s, one.motion.V_end, np.empty((len(points), points.gdim)), gradient)
             dF = np.eye(points.gdim) + operator.points.gradient[one.k]
             gradient = gradient @ np.linalg.inv(dF)
         return self.mapping.to_points(
-            points, field, x_node, motion, one.mass, dt, self.rule.gamma, gradient
+            points, field, x_node, one.motion, one.mass, self._step.dt, self.rule.gamma, gradient
         )
 
-    def errors(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> Array:
+    def errors(self, here: Activation) -> Array:
         """Error |β − 1/6| Δt² |a' − a| of a step's displacement, and its size (m). Collective.
 
         Zienkiewicz & Xie 1991, doi 10.1002/eqe.4290200907.
         """
         both: Array = np.zeros(2)
-        for one, motion in zip(self.nodes, motions):
-            nodes = here.fields[one.k].nodes
+        for one in self.nodes:
+            nodes, motion = here.fields[one.k].nodes, one.motion
             assert motion.u is not None
             change = np.abs(motion.A_end[nodes] - motion.A[nodes]).max(initial=0.0)
             both = np.maximum(both, [change, np.abs(motion.u[nodes]).max(initial=0.0)])
         self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-        both[0] *= abs(self.rule.beta - 1 / 6) * dt**2
+        both[0] *= abs(self.rule.beta - 1 / 6) * self._step.dt**2
         return both
 
     def state(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ energy that their penalties store, or friction. So it is left out here, see `Wal
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.step import Step
 from dolfinmpm.terms.boundaryterm import ActiveBoundaryTerm
 
 __all__ = [
@@ -47,14 +48,15 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class MovingNodes:
-    """The nodes of a field that moves points, at the start of a step.
+    """The nodes of a field that moves points, in a step.
 
     Attributes:
         k: Number of the field.
         tags: Tags of the points moved by the field, or None for all points.
         mass: Mass of the nodes.
         momenta: Momenta mapped from the points (kg m/s), shape (nodes, d).
-        V, A: Velocities (m/s) and accelerations (m/s²), shape (nodes, d).
+        V, A: Velocities (m/s) and accelerations (m/s²) at the start, shape (nodes, d).
+        motion: Motion up to the end of the step, as soon as it is known.
     """
 
     k: int
@@ -63,6 +65,7 @@ class MovingNodes:
     momenta: Array
     V: Array
     A: Array
+    motion: NodalMotion = field(init=False)
 
 
 def mean_contact_forces(operator: Operator) -> list[Array]:
@@ -85,7 +88,7 @@ def work_of_loads(
     operator: Operator,
     x: Array,
     scale: float,
-    moved: Sequence[tuple[MovingNodes, NodalMotion]],
+    nodes: Sequence[MovingNodes],
     dt: float,
     varying: bool,
 ) -> float:
@@ -98,7 +101,7 @@ def work_of_loads(
         operator: The step's equations, at their solution.
         x: Unknowns at the level of balance, shape (owned,).
         scale: Increments at the end over increments at the level of balance.
-        moved: The nodes that move points, and their motion.
+        nodes: The nodes that move points.
         dt: Length of the step (s).
         varying: Whether any load changes in the step.
     """
@@ -114,8 +117,8 @@ def work_of_loads(
     plain.move(x, scale)
     both = zip(start, plain.forces(without=("contact",)), mean_contact_forces(operator))
     forces = [0.5 * (f + g) - push for f, g, push in both]
-    for one, motion in moved:
-        forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
+    for one in nodes:
+        forces[one.k] += (one.mass.times(one.motion.V_end).arrays[0] - one.momenta) / dt
     return plain.load_work() + plain.work_at_prescribed(forces)
 
 
@@ -183,7 +186,6 @@ def work_of_friction(mass: Mass, stopped: Array | None, u: Array, kick: float) -
 def add_work_of_nodes(
     work: Work,
     one: MovingNodes,
-    motion: NodalMotion,
     operator: Operator,
     share: float,
     expected: Array,
@@ -193,7 +195,7 @@ def add_work_of_nodes(
 
     Args:
         work: Sums to add to.
-        one, motion: The nodes, and their motion.
+        one: The nodes.
         operator: The step's equations, at their solution.
         share: Share of the penalties' forces in the step's mean forces.
         expected: Increments (m) that penalties on changes of the velocity do not resist, shape
@@ -203,7 +205,7 @@ def add_work_of_nodes(
     Returns:
         Energy taken by penalties on changes of the velocity (J).
     """
-    mass, losses, here = one.mass, work.losses, operator.here
+    mass, motion, losses, here = one.mass, one.motion, work.losses, operator.here
     found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
     work.grid += found[1][0] - found[0][0]
     losses["ghost mass"] += found[1][1] - found[0][1]
@@ -219,24 +221,18 @@ def add_work_of_nodes(
     return stored
 
 
-def work_of_waves(
-    faces: Any,
-    times: tuple[float, float],
-    one: MovingNodes,
-    motion: NodalMotion,
-    operator: Operator,
-) -> float:
+def work_of_waves(faces: Any, step: Step, one: MovingNodes, operator: Operator) -> float:
     """Work of waves that come in through absorbing sides in a step (J). Collective.
 
     Args:
         faces: The sides, see `Faces`.
-        times: Start and end of the step (s).
-        one, motion: The nodes, and their motion.
+        step: The step.
+        one: The nodes.
         operator: The step's equations, at their solution.
     """
-    mean = 0.5 * (faces.wave_forces(times[0]) + faces.wave_forces(times[1]))
-    assert motion.u is not None
-    done = _sum_where_free(mean * motion.u, operator.here, one.k)
+    mean, u = 0.5 * (faces.wave_forces(step.start) + faces.wave_forces(step.t)), one.motion.u
+    assert u is not None
+    done = _sum_where_free(mean * u, operator.here, one.k)
     return one.mass.comm.allreduce(done, op=MPI.SUM)
 
 

@@ -7,7 +7,7 @@ f is the quasi-static form, the rule gives the acceleration a_α for w, and the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
@@ -30,7 +30,6 @@ from dolfinmpm.dynamics.clock import (
 from dolfinmpm.dynamics.energybounds import SHORTEST
 from dolfinmpm.dynamics.gridmotion import GridMotion
 from dolfinmpm.dynamics.inertia import Inertia, NewmarkRule
-from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.stepwork import fields_at_level, works_of_boundaries
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
@@ -219,7 +218,7 @@ class NewmarkScheme(TimedScheme):
         here = problem.activate(step)
         self._load_at(problem, step, 0.0)
         scale = step.dt / step.share
-        rates = velocities_at(problem, here, step, lambda v: v(step.t - step.dt) * scale)
+        rates = velocities_at(problem, here, step, lambda v: v(step.start) * scale)
         motion.to_grid(here, problem.form, step, rates)
         self._load_at(problem, step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
@@ -234,7 +233,7 @@ class NewmarkScheme(TimedScheme):
         points.inertia.value = factor
         self._carry_accelerations(problem, here, known)
         more: list[ActiveTerm] = [Inertia(here, masses, factor, known, expected)]
-        dashpots = motion.dashpots(here, step.dt)
+        dashpots = motion.dashpots(here)
         return Operator(problem.form, here, more if dashpots is None else [*more, dashpots])
 
     def _carry_accelerations(
@@ -289,13 +288,13 @@ class NewmarkScheme(TimedScheme):
         )
         self._load_at(problem, step, 0.5)
         may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings
-        motions = motion.ends(operator, step.dt)
-        reason, largest = self._judge(motions, operator.here, step.dt)
+        motion.end(operator)
+        reason, largest = self._judge(operator.here, step.dt)
         if reason is None:
             whole = motion.ledger.whole + boundary_work
             reason = motion.walls.judge(of_walls, whole, step.dt, may_halve)
         if reason is None:
-            reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
+            reason = motion.to_points(operator, state, x, scale, may_halve)
         if reason is None:
             self.count(boundary_work)
             motion.walls.done += of_walls
@@ -305,9 +304,7 @@ class NewmarkScheme(TimedScheme):
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
 
-    def _judge(
-        self, motions: Sequence[NodalMotion], here: Activation, dt: float
-    ) -> tuple[str | None, float]:
+    def _judge(self, here: Activation, dt: float) -> tuple[str | None, float]:
         """Bound the error of a step's displacement, and choose the next length. Collective.
 
         Returns:
@@ -315,7 +312,7 @@ class NewmarkScheme(TimedScheme):
         """
         if self.error is None:
             return None, 0.0
-        clock, (found, largest) = self.clock, self.motion.errors(motions, here, dt)
+        clock, (found, largest) = self.clock, self.motion.errors(here)
         reason = clock.judge(dt, found, self.error * max(clock.largest, largest), 3)
         return reason, float(largest)
 
