@@ -175,7 +175,7 @@ class ContactPairs:
         return start, np.concatenate([np.empty(0, np.int32), *lists]).astype(np.int32)
 
 
-def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
+def _side(number: int, field: ActiveField, x: Array, markers: Array) -> Side:
     """Contact points on the boundary of a body. Collective at first.
 
     A point barely beyond the body may be in a cell that is not active. Then the functions of the
@@ -185,19 +185,19 @@ def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
         number: Number of the field.
         field: The field of the body.
         x: Positions of the points (m), shape (n, d).
-        beside: Positions of the markers beside the points (m), shape (n, d).
+        markers: Positions of the markers beside the points (m), shape (n, d).
     """
     basis, finer = field.basis, np.ones(len(x))
     if isinstance(basis, LeafBasis):
         cells = basis.cells_at(x)
         known = (cells >= 0) & field.cells[cells]
-        cells[~known] = basis.cells_at(beside)[~known]
+        cells[~known] = basis.cells_at(markers)[~known]
         s = basis.in_cells(x, cells)
         low, high = basis.cell_corners()
         finer = smallest_height(basis.grid) / (high - low)[cells].min(axis=1)
     else:
         assert isinstance(basis, LatticeBasis)
-        s = _lattice_stencils(basis, field.cells, x, beside)
+        s = _lattice_stencils(basis, field.cells, x, markers)
     N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
     if field.C is not None:
         N = scipy.sparse.csr_matrix(N @ field.C)
@@ -206,7 +206,7 @@ def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
 
 
 def _lattice_stencils(
-    basis: LatticeBasis, active: npt.NDArray[np.bool_], x: Array, beside: Array
+    basis: LatticeBasis, active: npt.NDArray[np.bool_], x: Array, markers: Array
 ) -> Stencils:
     """Stencils of points on the boundary of a body, see `_side`."""
     table = basis.halo.cell_table
@@ -214,7 +214,7 @@ def _lattice_stencils(
     inside = np.all((low >= 0) & (low < table.shape), axis=1)
     at = np.where(inside, table[tuple(np.where(inside[:, None], low, 0).T)], -1)
     known = (at >= 0) & active[at]
-    low[~known] = (basis.lattice.cells_at(beside) - basis.halo.origin)[~known]
+    low[~known] = (basis.lattice.cells_at(markers) - basis.halo.origin)[~known]
     s = basis.stencils_in(x, np.zeros_like(x), np.ascontiguousarray(low, np.int32),
                           np.ones(low.shape, np.int32))  # fmt: skip
     # overlap of ranks is as wide as a cell and its neighbours

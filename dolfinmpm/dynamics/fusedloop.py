@@ -98,7 +98,7 @@ def kernel(
     column = 0 if velocity else second
     # in two dimensions changes of velocity are in the vector of velocities, and masses in none
     change = force if velocity and d == 3 else 0
-    beside = mass if d == 2 else 0
+    mass_apart = mass if d == 2 else 0
     # compiled functions among the closed-over values would keep the loop out of Numba's cache
     usual = middle_count(degree, averaged)
     # whether the grid's edge may cut domains, which couples the directions' moments
@@ -387,7 +387,7 @@ def kernel(
                     affine_columns(d, apic, cut, mp, C, p, i, n, S, x, places, K)
                 scatter(
                     d, out_at + dot(d, i, step), step, i, n, S, dS, x, places, True, new == 2,
-                    affine > 0, beside, force, mp, momentum_vector(d, mp, v[p], mp), K,
+                    affine > 0, mass_apart, force, mp, momentum_vector(d, mp, v[p], mp), K,
                     force_vector(d, 1.0, g), T,
                 )  # fmt: skip
         done[0] += 0.5 * dt * work

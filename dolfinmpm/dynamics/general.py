@@ -106,11 +106,7 @@ class GeneralSteps(ExplicitBase):
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(problem.terms, here, settings.mass_scaling)
         prescribed: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        momenta = self._momenta(mass, field, x_node)
-        last = step.t - 0.5 * dt - step.kick
-        (before,) = velocities_at(problem, here, step, lambda v: v(last) * dt / step.share)
-        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
-        V = mass.velocities(momenta, before, fastest).arrays[0]
+        V = self._velocities(mass, self._momenta(mass, field, x_node), here, step)
         operator = Operator(problem.form, here)
         if self.kinks is not None:
             self.kinks.begin_step(field.basis)
@@ -213,6 +209,15 @@ class GeneralSteps(ExplicitBase):
         filtered = settings.scheme != "usl"
         own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         return mass.comm.allreduce(own, op=MPI.SUM)
+
+    def _velocities(
+        self, mass: Mass, momenta: Nodal, here: Activation, step: ExplicitStep
+    ) -> Array:
+        """Velocities of the nodes at the start of a step (m/s), shape (nodes, d). Collective."""
+        last, dt = step.t - 0.5 * step.dt - step.kick, step.dt
+        (before,) = velocities_at(self._problem, here, step, lambda v: v(last) * dt / step.share)
+        fastest = float(np.abs(self._problem.points["velocity"]).max(initial=0.0))
+        return mass.velocities(momenta, before, fastest).arrays[0]
 
     @stages.assemble
     def _momenta(self, mass: Mass, field: ActiveField, x_node: Array, new=None) -> Nodal:
