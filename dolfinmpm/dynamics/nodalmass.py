@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -215,15 +216,13 @@ class Mass:
         unknowns.expand(guess, [prescribed], out)
         return out
 
-    @property
+    @cached_property
     def _unknowns(self) -> Unknowns:
         here = self._here
         if len(here.fields) == 1:
             return here.unknowns
-        if not hasattr(self, "_own"):
-            one = here.unknowns.fields[self._k]
-            self._own = Unknowns([one.numbering], [one.nodes], [one.fixed])
-        return self._own
+        one = here.unknowns.fields[self._k]
+        return Unknowns([one.numbering], [one.nodes], [one.fixed])
 
     def _cg(self, right: Array, guess: Array) -> Array:
         """Conjugate gradients with the diagonal of the matrix, or with its factors. Collective."""
