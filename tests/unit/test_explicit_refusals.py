@@ -47,13 +47,18 @@ def test_bulk_viscosity_shortens_the_stable_step(linear):
     assert np.abs(problem.points["velocity"]).max() < 0.4
 
 
-def test_fast_compression_shortens_the_next_steps():
+def test_fast_compression_shortens_the_next_steps(tmp_path):
+    """And those of a run that goes on from a file."""
     problem = block(bulk_viscosity=(0.0, 20.0), courant=0.1)
     first = problem.critical_step()
     points = problem.points
     points["velocity"][:, 0] = 0.5 - points["x"][:, 0]
     problem.step(1e-4)
     assert problem.critical_step() < 0.8 * first
+    problem.save(tmp_path / "run.npz")
+    again = block(bulk_viscosity=(0.0, 20.0), courant=0.1)
+    again.load(tmp_path / "run.npz")
+    assert again.critical_step() == pytest.approx(problem.critical_step(), rel=1e-12)
 
 
 def test_a_term_without_force_is_refused():
