@@ -13,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import at_time, floats, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import floats, number, shown, truth, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     ParameterError,
@@ -23,7 +23,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.sides import side_of
-from dolfinmpm.grid.userfunctions import call_function, choose
+from dolfinmpm.grid.userfunctions import VelocityByTime, call_function, choose
 
 __all__ = [
     "Condition",
@@ -66,7 +66,7 @@ class Condition:
     component: int
     value: float | fem.Constant | npt.NDArray[np.float64]
     where: str
-    velocity: Callable[[float], float] | None = None
+    velocity: VelocityByTime | None = None
     kind: str = "zero"
     place: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]] | None = None
     chooses: Where = ""
@@ -249,17 +249,10 @@ def moving(
     >>> push.where, push.velocity(0.05)
     ('left', 0.05)
     """
-    given = velocity if callable(velocity) else number("velocity", velocity, unit="m/s")
-
-    def at(t: float) -> float:
-        return number("velocity", at_time("velocity", given, t), unit="m/s")
-
-    at(0.0)
+    by_time = VelocityByTime.of("velocity", velocity)
+    by_time(0.0)
     (condition,) = prescribed(space, where, component, increment=own_constant(space.grid, 0.0))
-    if callable(velocity) and hasattr(velocity, "mean_velocity"):
-        # a record tells what steps miss of it
-        return [replace(condition, velocity=velocity)]
-    return [replace(condition, velocity=at)]
+    return [replace(condition, velocity=by_time)]
 
 
 def _checked(space: Space, nodes, what: str, value: Any) -> Any:

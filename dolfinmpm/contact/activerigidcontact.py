@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,6 @@ from mpi4py import MPI
 
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.contact.candidates import candidates, passed_through, unlisted_entered
 from dolfinmpm.contact.contactlaw import (
     FREE,
     SLIPS,
@@ -20,13 +20,15 @@ from dolfinmpm.contact.contactlaw import (
     slip_work,
 )
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
-from dolfinmpm.contact.contacttangent import add_tangent
+from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.corners import ALL, CornerLayout, DisplacementBasis, Rows, Which
-from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces
-from dolfinmpm.contact.protocols import RigidContactTerm
-from dolfinmpm.contact.storedenergy import normal_energy, slip_energy
+from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
 from dolfinmpm.contact.surfaces import Probe
+from dolfinmpm.contact.tunnelling import candidates, passed_through, unlisted_entered
 from dolfinmpm.cut.activation import ActiveDomain
+
+if TYPE_CHECKING:
+    from dolfinmpm.contact.rigidcontact import RigidContact
 
 __all__ = ["ActiveRigidContact"]
 
@@ -46,10 +48,10 @@ class ActiveRigidContact(ActiveContact):
         field: Number of the field of the displacement.
         listed: The points to search, increasing, if all other points are known to be far away.
         distance: Largest distance from the body of corners that can touch in this step (m).
-        means: Weights of mean forces over a step in its balance; None for forces at its end.
+        mean_weights: Weights of mean forces over a step in its balance; None for forces at its end.
 
     Attributes:
-        contact, field, means: The arguments.
+        contact, field, mean_weights: The arguments.
         clings: True holds corners that touched before, as long as nothing has moved. So the first
             iteration of Newton's method takes these corners along with a body that moves away.
         layout: Where the corners are.
@@ -65,12 +67,12 @@ class ActiveRigidContact(ActiveContact):
     pushes = True
 
     def __init__(
-        self, contact: RigidContactTerm, displacement: DisplacementBasis, field: int = 0,
+        self, contact: RigidContact, displacement: DisplacementBasis, field: int = 0,
         listed: Rows | None = None, distance: float = math.inf,
-        means: MeanForceWeights | None = None,
+        mean_weights: MeanForceWeights | None = None,
     ):  # fmt: skip
         self.contact, self.clings, self.field = contact, False, field
-        self.means = means
+        self.mean_weights = mean_weights
         self.layout = CornerLayout(contact.points, displacement, contact.surface, contact.material)
         self.candidates = candidates(contact, self.layout, listed, distance)
         self.corners = c = self.layout.corners(
@@ -79,7 +81,7 @@ class ActiveRigidContact(ActiveContact):
         self.x: Array = c.x.copy()
         self.now = ContactForces.zero(*c.x.shape)
         self.start = self._at_start(displacement.growth is not None)
-        self._explicit = means is None and displacement.growth is not None
+        self._explicit = mean_weights is None and displacement.growth is not None
 
     def _near_corners(self, x: Array, distance: float) -> Which:
         """Choose the corners near the body, and keep the surface's values at these corners.
@@ -119,13 +121,13 @@ class ActiveRigidContact(ActiveContact):
         )  # fmt: skip
 
     @staticmethod
-    def on(contact: RigidContactTerm, here: ActiveDomain) -> ActiveRigidContact:
+    def on(contact: RigidContact, here: ActiveDomain) -> ActiveRigidContact:
         """A contact on an activation. Collective."""
         k = next(k for k, f in enumerate(here.fields) if f.space.increment is contact.u)
         displacement = DisplacementBasis.of(
             here.fields[k], here.total, len(contact.points), contact.in_time
         )
-        return ActiveRigidContact(contact, displacement, k, means=contact.means)
+        return ActiveRigidContact(contact, displacement, k, mean_weights=contact.mean_weights)
 
     def fault(self, new: NewState) -> str | None:
         """See `ActiveTerm`: points that passed through the body or entered it. Collective."""
@@ -145,8 +147,8 @@ class ActiveRigidContact(ActiveContact):
         if not len(self.x):
             return
         own = u[self.field]
-        if self.means is not None and self.means.scale != scale:
-            own = self.means.scale / scale * own
+        if self.mean_weights is not None and self.mean_weights.scale != scale:
+            own = self.mean_weights.scale / scale * own
         displacement = self.corners.stencils.displacement(own)
         self.compute(displacement, self.clings and not own.any())
 
@@ -194,7 +196,7 @@ class ActiveRigidContact(ActiveContact):
         """
         now, start, law = self.now, self.start, self.contact.law
         now.clear()
-        if self.means is not None:
+        if self.mean_weights is not None:
             self._compute_means(c, at, probe)
             return
         if not c.size:
@@ -262,7 +264,7 @@ class ActiveRigidContact(ActiveContact):
     def derivative(self, active: Rows) -> Array:
         """Derivative of the forces by the corners' positions (N/m), shape (n, gdim, gdim)."""
         Q = self.contact.body.pose.rotation
-        P = Q if self.means is None else self._middle_rotation
+        P = Q if self.mean_weights is None else self._middle_rotation
         return np.einsum("ij,cjk,lk->cil", P, self.now.derivative[active], Q)
 
     # -- resultants, energy and state -------------------------------------------
@@ -270,7 +272,7 @@ class ActiveRigidContact(ActiveContact):
     def lever(self) -> Array:
         """Lever arms from the body's centre to the forces in the step (m), shape (m, gdim)."""
         body = self.contact.body
-        if self.means is None:
+        if self.mean_weights is None:
             return np.asarray(self.x - body.pose.centre)
         middle = 0.5 * (self.corners.x + self.x)
         return np.asarray(middle - 0.5 * (body.start.centre + body.pose.centre))
@@ -335,7 +337,7 @@ class ActiveRigidContact(ActiveContact):
         """Work dissipated by friction in this step (J), on all ranks. Collective."""
         slips = np.flatnonzero(self.states == SLIPS)
         done = float(self.now.loss.sum())
-        if slips.size and self.means is None:
+        if slips.size and self.mean_weights is None:
             at = self.contact.body.pose.back(self.x[slips])
             n = self.contact.body.surface.probe(at)[1]
             stiffness = self.contact.law.slip_share * self.start.stiffness[slips]

@@ -13,11 +13,12 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.contact.contactlaw import FREE, SLIPS, contact_forces, slip_work
 from dolfinmpm.contact.contactpairs import TOUCHES, ContactPairs
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
-from dolfinmpm.contact.contacttangent import add_tangent
-from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces
-from dolfinmpm.contact.storedenergy import (
+from dolfinmpm.contact.contactstencils import add_tangent
+from dolfinmpm.contact.meanforces import (
     SPARE_SHARE,
+    MeanForceWeights,
     bounding_multipliers,
+    mean_forces,
     normal_energy,
     slip_energy,
 )
@@ -32,19 +33,19 @@ class ActiveTwoBodyContact(ActiveContact):
 
     Args:
         pairs: Pairs of facing contact points.
-        means: Weights of mean forces over a step in its balance; None for forces at its end.
+        mean_weights: Weights of mean forces over a step in its balance; None for forces at its end.
 
     Attributes:
         contact: The contact.
-        pairs, means: The arguments.
+        pairs, mean_weights: The arguments.
         clings: See `ActiveRigidContact`.
         start: State of the pairs at the start of the step.
         now: Forces on the first body at the pairs.
     """
 
-    def __init__(self, pairs: ContactPairs, means: MeanForceWeights | None = None):
+    def __init__(self, pairs: ContactPairs, mean_weights: MeanForceWeights | None = None):
         self.contact, self.pairs, self.clings = pairs.contact, pairs, False
-        self.means = means
+        self.mean_weights = mean_weights
         contact, rows = pairs.contact, pairs.rows
         m, d = pairs.normal.shape
         self.now, self._slip = ContactForces.zero(m, d), np.zeros((m, d))
@@ -58,7 +59,7 @@ class ActiveTwoBodyContact(ActiveContact):
             normal_force, pairs.stiffness * pairs.areas,
             np.zeros(m) if no_bound else normal_force, np.zeros(m),
         )  # fmt: skip
-        if means is not None and no_bound:
+        if mean_weights is not None and no_bound:
             q, none = -start.stiffness * pairs.gap, np.zeros(m)
             normal = float(self._stored(q, np.zeros((m, d))).sum())
             tangential = float(self._stored(none, start.tangential).sum())
@@ -69,8 +70,8 @@ class ActiveTwoBodyContact(ActiveContact):
     def touch(self, u: Sequence[Array], scale: float) -> None:
         """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
         pairs, start, now, law = self.pairs, self.start, self.now, self.contact.law
-        if self.means is not None and self.means.scale != scale:
-            u = [self.means.scale / scale * values for values in u]
+        if self.mean_weights is not None and self.mean_weights.scale != scale:
+            u = [self.mean_weights.scale / scale * values for values in u]
         if not len(pairs.rows):
             return
         first, second = (side.stencils.displacement(u[side.field]) for side in pairs.sides)
@@ -79,7 +80,7 @@ class ActiveTwoBodyContact(ActiveContact):
         now.gap = pairs.gap + np.einsum("ci,ci->c", slip, n)
         flat = np.zeros((*n.shape, n.shape[1]))
         slip_stiffness = law.slip_share * start.stiffness
-        if self.means is not None:
+        if self.mean_weights is not None:
             mean_forces(
                 pairs.gap, now.gap, n, n, flat, slip, start.tangential, start.multiplier,
                 start.stiffness, slip_stiffness, law.friction, *now.by_law, now.loss, now.states,
@@ -110,7 +111,7 @@ class ActiveTwoBodyContact(ActiveContact):
         if not active.size:
             return
         K = -self.now.derivative[active]
-        if self.means is not None:
+        if self.mean_weights is not None:
             K *= self.tangent_weight
         rows = [side.stencils.rows() for side in self.pairs.sides]
         for i, a in enumerate(self.pairs.sides):
@@ -154,7 +155,7 @@ class ActiveTwoBodyContact(ActiveContact):
         np.add.at(end[names.normal_force], rows, now.normal)
         np.add.at(end[names.work], rows, done)
         np.add.at(end[names.stored], rows, self._stored(now.normal, now.tangential))
-        if self.means is not None and self.contact.law.penetration is None:
+        if self.mean_weights is not None and self.contact.law.penetration is None:
             q = self.start.multiplier - self.start.stiffness * self.pairs.gap
             end[names.spare][:] = markers[names.spare] + markers[names.stored]
             gained = SPARE_SHARE * done - self._stored(q, self.start.tangential)
@@ -171,7 +172,7 @@ class ActiveTwoBodyContact(ActiveContact):
 
     def _dissipated(self) -> Array:
         """Work dissipated by friction at each pair in this step (J), shape (m,)."""
-        if self.means is not None:
+        if self.mean_weights is not None:
             return self.now.loss
         done = np.zeros(len(self.states))
         slips = np.flatnonzero(self.states == SLIPS)

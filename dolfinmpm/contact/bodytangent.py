@@ -8,7 +8,6 @@ import numpy.typing as npt
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import FREE
 from dolfinmpm.contact.corners import Rows
-from dolfinmpm.contact.freemotion import cross_matrix
 
 __all__ = ["add_body_columns", "add_body_rows"]
 
@@ -65,4 +64,14 @@ def add_body_rows(contact: ActiveRigidContact, by_x: Array, by_y: Array) -> None
 
 def _own_share(contact: ActiveRigidContact) -> float:
     """Share of the step's end in the position where forces act."""
-    return 1.0 if contact.means is None else 0.5
+    return 1.0 if contact.mean_weights is None else 0.5
+
+
+def cross_matrix(arms: Array) -> Array:
+    """S with S(a) f = a × f, shape (n, 1, 2) of arms in 2D, (n, 3, 3) in 3D."""
+    if arms.shape[1] == 2:
+        return np.stack([-arms[:, 1], arms[:, 0]], axis=1)[:, None]
+    S = np.zeros((len(arms), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -arms[:, 2], arms[:, 1], -arms[:, 0]
+    S[:, 1, 0], S[:, 2, 0], S[:, 2, 1] = arms[:, 2], -arms[:, 1], arms[:, 0]
+    return S

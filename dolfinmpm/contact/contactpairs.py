@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +14,12 @@ from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis, LeafBasis
 from dolfinmpm.basis.stencils import Stencils, stencil_matrix
 from dolfinmpm.contact.contactstencils import ContactStencils
-from dolfinmpm.contact.protocols import TwoBodyContactTerm
 from dolfinmpm.cut.activation import ActiveDomain, ActiveField
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.lattice import Lattice, lattice_of, smallest_height
+
+if TYPE_CHECKING:
+    from dolfinmpm.contact.twobodycontact import TwoBodyContact
 
 __all__ = ["LAYERS", "TOUCHES", "ContactPairs"]
 
@@ -75,7 +78,7 @@ class ContactPairs:
         ParameterError: The bodies overlap before the first step.
     """
 
-    def __init__(self, contact: TwoBodyContactTerm, here: ActiveDomain):
+    def __init__(self, contact: TwoBodyContact, here: ActiveDomain):
         self.contact = contact
         first, second = (b.markers for b in contact.boundaries)
         self.reach = smallest_height(contact.points.grid)
@@ -172,7 +175,7 @@ class ContactPairs:
         return start, np.concatenate([np.empty(0, np.int32), *lists]).astype(np.int32)
 
 
-def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
+def _side(number: int, field: ActiveField, x: Array, markers: Array) -> Side:
     """Contact points on the boundary of a body. Collective at first.
 
     A point barely beyond the body may be in a cell that is not active. Then the functions of the
@@ -182,19 +185,19 @@ def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
         number: Number of the field.
         field: The field of the body.
         x: Positions of the points (m), shape (n, d).
-        beside: Positions of the markers beside the points (m), shape (n, d).
+        markers: Positions of the markers beside the points (m), shape (n, d).
     """
     basis, finer = field.basis, np.ones(len(x))
     if isinstance(basis, LeafBasis):
         cells = basis.cells_at(x)
         known = (cells >= 0) & field.cells[cells]
-        cells[~known] = basis.cells_at(beside)[~known]
+        cells[~known] = basis.cells_at(markers)[~known]
         s = basis.in_cells(x, cells)
         low, high = basis.cell_corners()
         finer = smallest_height(basis.grid) / (high - low)[cells].min(axis=1)
     else:
         assert isinstance(basis, LatticeBasis)
-        s = _lattice_stencils(basis, field.cells, x, beside)
+        s = _lattice_stencils(basis, field.cells, x, markers)
     N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
     if field.C is not None:
         N = scipy.sparse.csr_matrix(N @ field.C)
@@ -203,7 +206,7 @@ def _side(number: int, field: ActiveField, x: Array, beside: Array) -> Side:
 
 
 def _lattice_stencils(
-    basis: LatticeBasis, active: npt.NDArray[np.bool_], x: Array, beside: Array
+    basis: LatticeBasis, active: npt.NDArray[np.bool_], x: Array, markers: Array
 ) -> Stencils:
     """Stencils of points on the boundary of a body, see `_side`."""
     table = basis.halo.cell_table
@@ -211,7 +214,7 @@ def _lattice_stencils(
     inside = np.all((low >= 0) & (low < table.shape), axis=1)
     at = np.where(inside, table[tuple(np.where(inside[:, None], low, 0).T)], -1)
     known = (at >= 0) & active[at]
-    low[~known] = (basis.lattice.cells_at(beside) - basis.halo.origin)[~known]
+    low[~known] = (basis.lattice.cells_at(markers) - basis.halo.origin)[~known]
     s = basis.stencils_in(x, np.zeros_like(x), np.ascontiguousarray(low, np.int32),
                           np.ones(low.shape, np.int32))  # fmt: skip
     # overlap of ranks is as wide as a cell and its neighbours

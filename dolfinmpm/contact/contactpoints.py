@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,46 @@ from dolfinmpm.assembly.term import ActiveTerm
 from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS
 from dolfinmpm.contact.meanforces import MeanForceWeights
 
-__all__ = ["ActiveContact", "ContactForces", "ContactStart"]
+__all__ = ["ActiveContact", "ContactForces", "ContactStart", "CornerFields", "MarkerFields"]
 
 Array = npt.NDArray[np.float64]
+
+
+class CornerFields(NamedTuple):
+    """Names of the points' fields that hold the state of contact with a rigid body.
+
+    Attributes:
+        tangential_force: Tangential forces on the corners in the frame of the body (N).
+        normal_force: Normal forces on the corners (N).
+        modulus: Young's modulus of the points in their first state (Pa).
+        stiffness: Stiffness of touching corners (N/m).
+        closing: Closing of the gaps of the corners in the last step (m).
+    """
+
+    tangential_force: str
+    normal_force: str
+    modulus: str
+    stiffness: str
+    closing: str
+
+
+class MarkerFields(NamedTuple):
+    """Names of the markers' fields that hold the state of contact of two bodies.
+
+    Attributes:
+        tangential_force, normal_force: Forces on the first body (N).
+        work: Work dissipated by friction (J).
+        steps: Number of steps.
+        stored: Energy stored by the penalties (J).
+        spare: Spare energy (J), see `dolfinmpm.contact.meanforces`.
+    """
+
+    tangential_force: str
+    normal_force: str
+    work: str
+    steps: str
+    stored: str
+    spare: str
 
 
 @dataclass
@@ -92,14 +129,14 @@ class ActiveContact(ActiveTerm):
 
     Attributes:
         contact: The contact of the form.
-        means: Weights of mean forces over a step in its balance; None for forces at its end.
+        mean_weights: Weights of mean forces over a step in its balance; None for forces at its end.
         start: State of the contact points at the start of the step.
         now: Forces on the contact points.
     """
 
     kind = "contact"
     contact: Any
-    means: MeanForceWeights | None
+    mean_weights: MeanForceWeights | None
     start: ContactStart
     now: ContactForces
 
@@ -121,12 +158,13 @@ class ActiveContact(ActiveTerm):
     @property
     def force_weight(self) -> float:
         """Weight of the forces in a step's balance."""
-        return 1.0 if self.means is None else self.means.weight
+        return 1.0 if self.mean_weights is None else self.mean_weights.weight
 
     @property
     def tangent_weight(self) -> float:
         """Weight of derivatives of forces by the increments in a step's balance."""
-        return 1.0 if self.means is None else self.means.weight * self.means.scale
+        weights = self.mean_weights
+        return 1.0 if weights is None else weights.weight * weights.scale
 
     def augment(self) -> bool:
         """See `ActiveTerm`: normal forces become multipliers if a penetration exceeds the bound.

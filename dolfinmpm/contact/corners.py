@@ -42,7 +42,7 @@ from dolfinmpm.contact.contactstencils import (
 )
 from dolfinmpm.cut.activation import ActiveField, Basis
 
-__all__ = ["ALL", "CornerLayout", "Corners", "DisplacementBasis", "corner_count", "longest"]
+__all__ = ["ALL", "CornerLayout", "DisplacementBasis", "corner_count", "longest"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
@@ -160,7 +160,7 @@ class CornerLayout:
             material or displacement.total or displacement.basis.averaged
         )
         flows = displacement.domains != "stretch"
-        self._beside = own and flows and displacement.growth is None
+        self._keeps_axes = own and flows and displacement.growth is None
         signs = _signs(points.gdim)
         self.which: Rows = np.arange(1 if self._by_middle else len(signs))
         if surface is not None and surface.normal is not None:
@@ -203,7 +203,7 @@ class CornerLayout:
             return np.asarray(area / self.which.size)
         half = points["l0"][rows]
         d = half.shape[1]
-        if not (self.boxes or self._beside):
+        if not (self.boxes or self._keeps_axes):
             # the normal in the frame of the material
             normal = np.einsum("pij,pi->pj", self._F[rows], normal)
             normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -292,7 +292,7 @@ class CornerLayout:
     def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and offsets from their points for motion by the gradients."""
         points = self._points
-        if self._beside:
+        if self._keeps_axes:
             half = update_domains(self._F[each], points["l0"][each], self._displacement.domains)
             r = _signs(points.gdim)[which] * half
             return points["x"][each] + r, r

@@ -1,4 +1,4 @@
-"""Mean forces of contact over a step in time, which make no energy.
+"""Mean forces of contact over a step in time, which make no energy, and the energy of penalties.
 
 With q = λ − ε_N g at the start and at the end of a step, the normal force p = max(0, q) stores
 ψ = p²/(2ε_N). The mean over the step that conserves energy is
@@ -12,6 +12,12 @@ of the path Δξ in the frame of the body, corrected along Δξ (Gonzalez 1996, 
 Friction: the tangential force t₁ at the end follows from Coulomb's return mapping under p₁. The
 mean t̄ = (t₀ + t₁)/2 acts over the step. A point that sticks stores |t|²/(2ε_T). A point that slips
 dissipates t̄ · Δs.
+
+Between steps, facing contact points, gaps and areas are found anew. The penalties ½ p²/ε_N would
+then store more than before, or less. Energy that they lose is spare. Energy that they would gain
+beyond the spare energy is held back: all normal forces q > 0 at the start become √s q, by
+multipliers λ = −(1 − √s) q in the step's potential. Then the mean force gives back only energy that
+has been stored.
 """
 
 from __future__ import annotations
@@ -21,10 +27,19 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS
 
-__all__ = ["MeanForceWeights", "mean_forces"]
+__all__ = [
+    "SPARE_SHARE",
+    "MeanForceWeights",
+    "bounding_multipliers",
+    "mean_forces",
+    "normal_energy",
+    "slip_energy",
+]
 
 
 @dataclass(frozen=True)
@@ -172,3 +187,55 @@ def mean_forces(
                     s = trial[i] / size
                     change -= share * s * by_size + friction * dp * eN * normal[c, j] * s
                 derivative[c, i, j] += change
+
+
+Array = npt.NDArray[np.float64]
+
+# Share of the work of friction that is spare too. So the energy held back does not add up where
+# bodies slide for long.
+SPARE_SHARE = 0.01
+
+
+def bounding_multipliers(
+    normal_force: Array, normal: float, tangential: float, available: float, comm: MPI.Intracomm
+) -> Array:
+    """Multipliers of a step (N), shape (m,), with the stored energy bounded. Collective.
+
+    Args:
+        normal_force: −ε_N g at the start of the step (N), shape (m,).
+        normal: Energy that these normal forces store on this rank (J).
+        tangential: Energy of the tangential forces at the start of the step on this rank (J).
+        available: Energy stored on this rank at the end of the last step, and spare energy (J).
+        comm: Communicator of the points.
+    """
+    q = np.maximum(normal_force, 0.0)
+    sums = np.array([normal, tangential, available])
+    comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
+    normal, tangential, available = map(float, sums)
+    if normal <= 0.0 or normal + tangential <= available:
+        return np.zeros_like(q)
+    share = max(available - tangential, 0.0) / normal
+    return (math.sqrt(share) - 1.0) * q
+
+
+def normal_energy(normal_force: Array, stiffness: Array) -> Array:
+    """Energy of the normal penalties, ½ p²/ε_N (J), shape (m,); zero for tensile forces.
+
+    Args:
+        normal_force: p (N), shape (m,).
+        stiffness: ε_N (N/m), shape (m,). Points with zero stiffness store nothing.
+    """
+    k = np.where(stiffness > 0.0, stiffness, np.inf)
+    return np.asarray(0.5 * np.maximum(normal_force, 0.0) ** 2 / k)
+
+
+def slip_energy(tangential: Array, stiffness: Array, slip_share: float) -> Array:
+    """Energy of elastic slip, ½ |t|²/ε_T (J), shape (m,).
+
+    Args:
+        tangential: t (N), shape (m, d).
+        stiffness: ε_N (N/m), shape (m,). Points with zero stiffness store nothing.
+        slip_share: ε_T/ε_N.
+    """
+    k = np.where(stiffness > 0.0, stiffness, np.inf)
+    return np.asarray(0.5 * np.sum(tangential * tangential, axis=1) / (slip_share * k))

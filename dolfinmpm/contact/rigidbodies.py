@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
@@ -29,11 +28,11 @@ _STILL = 1e-9
 class RigidBodies:
     """The rigid bodies in the contacts of a form.
 
+    In one substep a body may move by at most the smallest cell, and by at most half its own
+    thickness. So points in its way are inside the body at the end, on the side from which it came.
+
     Args:
         contacts: The contacts.
-        grid: The grid. In one substep a body may move by at most the smallest cell, and by at most
-            half its own thickness. So points in its way are inside the body at the end, on the
-            side from which it came.
 
     Attributes:
         contacts: The argument.
@@ -44,7 +43,7 @@ class RigidBodies:
         ParameterError: A body's motion does not begin at its shape.
     """
 
-    def __init__(self, contacts: Sequence[RigidContact], grid: Mesh):
+    def __init__(self, contacts: Sequence[RigidContact]):
         self.contacts = list(contacts)
         for one, other in itertools.combinations(contacts, 2):
             if _same(one, other):
@@ -77,7 +76,7 @@ class RigidBodies:
         return sum(body.kinetic() for body in self.free)
 
     @property
-    def rubbed(self) -> float:
+    def friction_work(self) -> float:
         """Work dissipated by friction on the bodies (J)."""
         return sum(contact.dissipated for contact in self.contacts)
 
@@ -159,7 +158,7 @@ class RigidBodies:
         for body in self.all:
             body.pose = body.start
 
-    def fault(self, dt: float, inertia: bool = False) -> str | None:
+    def too_fast(self, dt: float, inertia: bool = False) -> str | None:
         """Why a step is too long for the motion of the bodies, or None.
 
         Args:
@@ -190,7 +189,7 @@ class RigidBodies:
     def followed(self, dt: float, count: int) -> int:
         """Number of successive steps that are not too long for the motion of the bodies.
 
-        `fault` has already checked the first step.
+        `too_fast` has already checked the first step.
 
         Args:
             dt: Length of the steps (s).
@@ -229,7 +228,7 @@ class RigidBodies:
             of mean forces on prescribed components. In the first step in time the energy of an
             initial penetration is added.
         """
-        new = [a for a in contacts if a.means is not None and a.contact.body.time == 0.0]
+        new = [a for a in contacts if a.mean_weights is not None and a.contact.body.time == 0.0]
         before, self._before = self._before + sum(active.overlapping() for active in new), 0.0
         sums: dict[int, list[Array]] = {
             id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
@@ -243,7 +242,7 @@ class RigidBodies:
         if self.given is None:
             self.given = sum(active.stored(before=True) for active in contacts)
         self.stored = sum(active.stored() for active in contacts)
-        mean = any(active.means is not None for active in contacts)
+        mean = any(active.mean_weights is not None for active in contacts)
         works = [body.commit(*sums[id(body)], mean=mean) for body in self.all]
         return before + sum(works)
 
@@ -264,9 +263,9 @@ class RigidBodies:
         if not self.all:
             return {}
         rows = {f"rigid body {k}": body.state() for k, body in enumerate(self.all)}
-        rubbed = np.array([c.dissipated for c in self.contacts])
+        friction_work = np.array([c.dissipated for c in self.contacts])
         stored = np.array([self.stored, math.nan if self.given is None else self.given])
-        return {**rows, "friction's work": rubbed, "stored in contact": stored}
+        return {**rows, "friction's work": friction_work, "stored in contact": stored}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`."""

@@ -15,11 +15,17 @@ from dolfinx import fem
 from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import ReadOnce
-from dolfinmpm.contact.freemotion import FreeMotion, vector
-from dolfinmpm.contact.pose import Pose, rotation_of
-from dolfinmpm.contact.prescribedmotion import Motion, PrescribedMotion, first_rate
+from dolfinmpm.contact.bodymotion import (
+    FreeMotion,
+    Motion,
+    Pose,
+    PrescribedMotion,
+    first_rate,
+    rotation_of,
+    vector,
+)
 from dolfinmpm.contact.shapesurface import surface_of
-from dolfinmpm.contact.surfaces import RigidSurface
+from dolfinmpm.contact.surfaces import RigidSurface, middle_of
 from dolfinmpm.contact.tunnelling import half_thickness, travelled
 
 __all__ = ["RigidBody", "check_bodies"]
@@ -116,7 +122,7 @@ class RigidBody(ReadOnce):
         number("fillet", fillet, 0.0, math.inf, "m", closed=True)
         self.surface: RigidSurface = surface_of(shape, fillet)
         d = self.surface.gdim
-        middle: Array = _middle(self.surface)
+        middle: Array = middle_of(self.surface)
         if centre is not None:
             middle = vector("centre", centre, d)
         self.name = f"body{next(_numbers)}" if name is None else name
@@ -390,11 +396,3 @@ def check_bodies(bodies: Any, gdim: int) -> None:
     for body in bodies:
         if not isinstance(body, RigidBody) or body.gdim != gdim:
             raise ParameterError(f"bodies holds {shown(body)}, no mpm.RigidBody in {gdim}D")
-
-
-def _middle(surface: RigidSurface) -> Array:
-    if np.isfinite(surface.low).all():
-        return np.asarray(0.5 * (surface.low + surface.high))
-    g, n, _ = surface.probe(np.zeros((1, surface.gdim)))
-    # for a plane: its point nearest to the origin
-    return np.asarray(-g[0] * n[0])

@@ -22,9 +22,9 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import ContactLaw
+from dolfinmpm.contact.contactpoints import CornerFields
 from dolfinmpm.contact.corners import corner_count
 from dolfinmpm.contact.meanforces import MeanForceWeights
-from dolfinmpm.contact.protocols import CornerFields
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.declarations import Declaration
@@ -48,7 +48,7 @@ class RigidContact(Term):
         body, points, u, surface, material, tags, law: The arguments.
         names: Names of the points' fields with the state of the contact.
         dissipated: Work dissipated by friction (J), on all ranks.
-        means: Weights of mean forces over a step in its balance; None for forces at the end.
+        mean_weights: Weights of mean forces over a step in its balance; None for forces at the end.
         in_time: Whether steps have inertia.
         limit: Largest motion of the body at once (m).
     """
@@ -64,7 +64,7 @@ class RigidContact(Term):
         first = f"contact{next(counter)}"
         self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
         self.dissipated = 0.0
-        self.means: MeanForceWeights | None = None
+        self.mean_weights: MeanForceWeights | None = None
         self.in_time, self.limit = False, math.inf
 
     kind, definite, fusable = "contact", False, True
@@ -81,7 +81,7 @@ class RigidContact(Term):
 
     def start_in_time(self, means: MeanForceWeights | None) -> None:
         """See `Term`."""
-        self.means, self.in_time = means, True
+        self.mean_weights, self.in_time = means, True
 
     def __repr__(self) -> str:
         return f"the contact with '{self.body.name}'"

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["HalfSpace", "Probe", "Revolved", "RigidSurface", "Round", "Rounded"]
+__all__ = ["HalfSpace", "Probe", "Revolved", "RigidSurface", "Round", "Rounded", "middle_of"]
 
 Array = npt.NDArray[np.float64]
 Probe = tuple[Array, Array, Array]
@@ -235,3 +235,11 @@ def revolved(profile: Array, sectors: int = 32) -> Array:
     sides = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     # at the axis two corners coincide
     return triangles[np.linalg.norm(np.cross(*sides), axis=1) > 0]
+
+
+def middle_of(surface: RigidSurface) -> Array:
+    """The middle of the bounding box (m), or of a plane its point nearest to the origin."""
+    if np.isfinite(surface.low).all():
+        return np.asarray(0.5 * (surface.low + surface.high))
+    g, n, _ = surface.probe(np.zeros((1, surface.gdim)))
+    return np.asarray(-g[0] * n[0])

@@ -21,8 +21,8 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.activetwobodycontact import ActiveTwoBodyContact
 from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpairs import LAYERS, ContactPairs
+from dolfinmpm.contact.contactpoints import MarkerFields
 from dolfinmpm.contact.meanforces import MeanForceWeights
-from dolfinmpm.contact.protocols import MarkerFields
 from dolfinmpm.cut.activation import Activation, ActiveDomain, Coupling
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import require_lattice, smallest_height
@@ -41,7 +41,7 @@ class TwoBodyContact(Term):
     Attributes:
         boundaries, u, law: The arguments.
         stiffness: κ (Pa/m). If κ follows from moduli, it is valid only after `bind`.
-        means: Weights of mean forces over a step in its balance; None for forces at its end.
+        mean_weights: Weights of mean forces over a step in its balance; None for forces at its end.
         name: Name in records, and first part of the names of the markers' fields.
         names: Names of the fields of the first boundary's markers with the state of the contact.
     """
@@ -51,7 +51,7 @@ class TwoBodyContact(Term):
         self.stiffness: float = 0.0 if law.stiffness is None else law.stiffness
         counter = self.points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         self.name = f"contact{next(counter)}"
-        self.means: MeanForceWeights | None = None
+        self.mean_weights: MeanForceWeights | None = None
         self.names = MarkerFields(*(f"{self.name}_{part}" for part in MarkerFields._fields))
 
     kind, layers = "contact", LAYERS
@@ -68,7 +68,7 @@ class TwoBodyContact(Term):
 
     def start_in_time(self, means: MeanForceWeights | None) -> None:
         """See `Term`."""
-        self.means = means
+        self.mean_weights = means
 
     def couple(self, here: ActiveDomain) -> list[Coupling]:
         """See `Term`. Collective."""
@@ -78,7 +78,7 @@ class TwoBodyContact(Term):
         """See `Term`."""
         own = (c for c in here.couplings if isinstance(c, ContactPairs) and c.contact is self)
         pairs = next(own, None)
-        return None if pairs is None else ActiveTwoBodyContact(pairs, self.means)
+        return None if pairs is None else ActiveTwoBodyContact(pairs, self.mean_weights)
 
     def energy(self) -> tuple[float, float]:
         """See `Term`. Collective."""

@@ -9,7 +9,10 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.contact.shapesurface import surface_of
+from dolfinmpm.contact.surfaces import RigidSurface
 
 __all__ = ["near", "where_it_yields"]
 
@@ -19,7 +22,9 @@ Array = npt.NDArray[np.float64]
 class _Near:
     """See `near`."""
 
-    def __init__(self, body: Any, surface: Any, size: float, reach: float, growth: float):
+    def __init__(
+        self, body: RigidBody, surface: RigidSurface, size: float, reach: float, growth: float
+    ):
         self._body, self._surface = body, surface
         self._size, self._reach, self._growth = size, reach, growth
         self.least = size
@@ -37,7 +42,12 @@ class _Near:
 
 
 def near(
-    body: Any, size: float, *, reach: float | None = None, growth: float = 0.5, part: Any = None
+    body: RigidBody,
+    size: float,
+    *,
+    reach: float | None = None,
+    growth: float = 0.5,
+    part: Any = None,
 ) -> _Near:
     """Cells of a size near a rigid body, for `Space(refine=...)`; they grow with distance.
 
@@ -64,7 +74,7 @@ def near(
     >>> fine.wanted(np.array([[0.9, 0.0], [4.0, 0.0]]), np.array([[1.1, 0.2], [4.1, 0.1]])).round(2)
     array([0.1 , 1.29])
     """
-    if not hasattr(getattr(body, "surface", None), "probe"):
+    if not isinstance(body, RigidBody):
         raise ParameterError(f"body = {shown(body)} must be a mpm.RigidBody")
     number("size", size, 0.0, unit="m")
     if reach is None:
@@ -82,7 +92,7 @@ def near(
 class _WhereItYields:
     """See `where_it_yields`."""
 
-    def __init__(self, points: Any, size: float, field: str, least: float):
+    def __init__(self, points: MaterialPoints, size: float, field: str, least: float):
         self._points, self._size, self._field, self._least = points, size, field, least
         self.least = size
         self.told, self.gdim = f"{size:g} m where {field} > {least:g}", points.gdim
@@ -111,7 +121,7 @@ class _WhereItYields:
 
 
 def where_it_yields(
-    points: Any, size: float, *, field: str = "plastic_strain", least: float = 1e-3
+    points: MaterialPoints, size: float, *, field: str = "plastic_strain", least: float = 1e-3
 ) -> _WhereItYields:
     """Cells of a size where points have yielded, for `Space(refine=...)`.
 
@@ -142,7 +152,7 @@ def where_it_yields(
     >>> problem.adapt().split
     48
     """
-    if not hasattr(points, "comm"):
+    if not isinstance(points, MaterialPoints):
         raise ParameterError(f"points = {shown(points)} must be material points")
     number("size", size, 0.0, unit="m")
     number("least", least)

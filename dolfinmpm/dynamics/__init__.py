@@ -3,8 +3,7 @@
 from dolfinmpm.dynamics.clock import times
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.explicit import Explicit
-from dolfinmpm.dynamics.faces import absorbing, frictional
-from dolfinmpm.dynamics.freefield import free_field
+from dolfinmpm.dynamics.faces import absorbing, free_field, frictional
 from dolfinmpm.dynamics.groundcolumn import GroundColumn
 from dolfinmpm.dynamics.inputmotion import InputMotion
 from dolfinmpm.dynamics.mappings import Mapping

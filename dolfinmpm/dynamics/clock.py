@@ -10,11 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.argumentchecks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.grid.userfunctions import VelocityByTime
 from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord
 
@@ -25,9 +29,13 @@ __all__ = [
     "end_of_step",
     "mean_increment",
     "open_time",
+    "set_velocities",
     "times",
+    "velocities_at",
 ]
 
+
+Array = npt.NDArray[np.float64]
 
 # Steps of a run that nobody would wait for
 _MOST = 10**9
@@ -108,7 +116,7 @@ def times(
     >>> [round(float(t), 3) for t in mpm.times(0.3, dt=0.1)]
     [0.1, 0.2, 0.3]
     """
-    start = number("start", start, unit="s")
+    start, at_once = number("start", start, unit="s"), whole("at_once", at_once, 1)
     if np.ndim(end) == 1:
         if dt != "auto":
             raise ParameterError(
@@ -123,7 +131,7 @@ def times(
     if isinstance(dt, str):
         if dt != "auto":
             raise ParameterError(f'dt = {shown(dt)} must be a time in s or "auto"')
-        return _chosen(start, end, label, whole("at_once", at_once, 1))
+        return _chosen(start, end, label, at_once)
     step = number("dt", dt, 0.0, math.inf, "s")
     # rounding must not add a step
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
@@ -192,14 +200,49 @@ def check_clock(time: Any, grid: Mesh) -> None:
         )
 
 
-def mean_increment(velocity: Callable[[float], float], step: Step) -> float:
+def mean_increment(velocity: VelocityByTime, step: Step) -> float:
     """Increment of a whole step by the trapezoidal rule (m), for a velocity by time."""
-    start = step.t - step.dt
-    if hasattr(velocity, "mean_velocity"):
-        mean = velocity.mean_velocity(start, step.t)
-    else:
-        mean = 0.5 * (velocity(start) + velocity(step.t))
-    return mean * step.dt / step.share
+    return velocity.mean_velocity(step.start, step.t) * step.dt / step.share
+
+
+def set_velocities(
+    conditions: Sequence[Condition], value: Callable[[VelocityByTime], float]
+) -> None:
+    """Set the increments of conditions that prescribe velocities.
+
+    Args:
+        conditions: Conditions. Conditions without a velocity stay unchanged.
+        value: Function from a velocity by time (m/s) to the increment (m).
+    """
+    for condition in conditions:
+        if condition.velocity is not None:
+            assert isinstance(condition.value, fem.Constant)
+            condition.value.value = value(condition.velocity)
+
+
+def velocities_at(
+    problem: Any, here: Activation, step: Step, increment: Callable[[VelocityByTime], float]
+) -> list[Array]:
+    """Velocities of prescribed components (m/s), shape (nodes, d), per field. Collective.
+
+    They are prescribed velocities at another time than that of the conditions, and prescribed
+    increments over the step's length.
+
+    Args:
+        problem: The problem.
+        here: The activation.
+        step: The step.
+        increment: Function from a velocity by time (m/s) to the increment (m) of a whole step.
+    """
+    conditions, values = problem.held.conditions, here.prescribed
+    if any(condition.velocity is not None for condition in conditions):
+        present = [np.array(condition.values) for condition in conditions]
+        set_velocities(conditions, increment)
+        values = problem.held.at([field.basis for field in here.fields], step.share)[1]
+        for condition, value in zip(conditions, present):
+            if condition.velocity is not None:
+                condition.value.value = value
+    return [np.asarray(value / step.dt, np.float64) for value in values]
 
 
 def end_of_step(t: float | None, now: float, wanted: float | None) -> float:

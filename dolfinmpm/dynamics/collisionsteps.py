@@ -17,21 +17,17 @@ from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.dynamics.bodiesatsides import BodiesAtSides
-from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, NodalContact
-from dolfinmpm.dynamics.energies import stress_volumes
-from dolfinmpm.dynamics.explicitbase import ExplicitBase
-from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.collision import BodiesAtSides, BodyAtNodes, Collision, NodalContact
+from dolfinmpm.dynamics.energies import lateness, mapping_loss, stress_volumes
+from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, Settings
+from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
-from dolfinmpm.dynamics.halfstep import lateness, mapping_loss
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
-from dolfinmpm.solve.step import Step
 
 __all__ = ["CollisionSteps", "collision_error"]
 
@@ -96,26 +92,26 @@ class CollisionSteps(ExplicitBase):
         self._counted = False
 
     @stages.commit
-    def _take(self, step: Step, kick: float) -> int | str:
+    def _take(self, step: ExplicitStep) -> int | str:
         """Take one step; see `ExplicitBase`. Collective."""
-        problem, settings = self._problem, self._settings
-        points, dt = problem.points, step.dt
+        problem, damping = self._problem, self._settings.damping
+        points, dt, kick = problem.points, step.dt, step.kick
         raise_together(points.comm, points.fault())
         balance(points)
         here = problem.activate(step)
         self._loads.evaluate()
         rows = self._collision.bodies(points["tag"])
         raise_together(points.comm, self._strays(rows))
-        stencils = [selected(here.fields[0].stencils, own) for own in rows]
-        held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        bodies = [self._at_nodes(s, here) for s in stencils]
-        faces = self.sides.on(here.fields[0].basis)
-        sides = BodiesAtSides(faces, bodies, here, held, kick, self.kinks)
-        before = self._velocities(stencils, bodies, here, sides, points["velocity"])
-        forces = [self._forces(s, here) for s in stencils]
-        damped = [settings.damping * np.abs(f) * np.sign(V) for f, V in zip(forces, before)]
+        several = SeveralBodies(problem, rows, here, self._settings)
+        bodies = several.at_nodes
+        prescribed: Array = np.asarray(here.prescribed[0] / dt, np.float64)
+        faces = self.sides.on(here.fields[0].basis, step)
+        sides = BodiesAtSides(faces, bodies, here, prescribed, kick, self.kinks)
+        before = several.velocities(points["velocity"], sides)
+        forces = several.forces(self._loads)
+        damped = [damping * np.abs(f) * np.sign(V) for f, V in zip(forces, before)]
         after = [
-            V + kick * (f - g) / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
+            V + kick * (f - g) / body.divisor
             for body, V, f, g in zip(bodies, before, forces, damped)
         ]
         pushed = [V_end - V for V, V_end in zip(before, after)]
@@ -124,36 +120,28 @@ class CollisionSteps(ExplicitBase):
         touching = self._touching(bodies, here)
         touching.exchange(after)
         external += sides.stop(after)
-        if 2.0 * kick == dt:
-            # the run begins with half a step
-            changes = [V_end - V for V, V_end in zip(before, after)]
-            self._count_start(bodies, pushed, changes, here)
-        new = self._points(stencils, rows, before, after, kick)
+        if step.begins:
+            self._work.start += several.energy_of_start(pushed, before, after)
+        new = several.to_points(before, after, kick)
         strains = after
-        if settings.scheme == "musl":
-            strains = self._velocities(stencils, bodies, here, sides, new["velocity"])
-            sides.settle(strains)
+        if self._settings.scheme == "musl":
+            strains = several.velocities(new["velocity"], sides, ends=True)
             if points.comm.allreduce(touching.nodes.any(), op=MPI.LOR):
-                self._exchange_mapped(touching, stencils, bodies, here, after, strains)
+                several.exchange_mapped(touching, after, strains)
                 external += sides.stop(after)
-                new = self._points(stencils, rows, before, after, kick)
-                strains = self._velocities(stencils, bodies, here, sides, new["velocity"])
-                sides.settle(strains)
+                new = several.to_points(before, after, kick)
+                strains = several.velocities(new["velocity"], sides, ends=True)
         operator = Operator(problem.form, here)
-        self._place(operator, rows, [dt * V for V in strains])
+        several.place(operator, [dt * V for V in strains])
         moved = points["x"] + operator.points.value[0]
         state = new_state(problem, operator, x=moved)
         if isinstance(state, str):
             return state
         external = points.comm.allreduce(external, op=MPI.SUM) + self._load_work(moved)
         self._work.add_stresses(points, state.fields, operator)
-        motion = before, after, strains
-        self._count(external, sides, touching, damped, motion, here, (dt, kick))
+        self._add_works(external, sides, touching, damped, (before, after, strains), here, step)
         state.fields.update(new)
-        change, m = kick * new["acceleration"], settings.scaling * point_masses(points)
-        filtered = settings.scheme == "musl"
-        own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
-        self._work.projected += points.comm.allreduce(own, op=MPI.SUM)
+        self._work.projected += several.mapping_loss(new, kick)
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
@@ -180,31 +168,6 @@ class CollisionSteps(ExplicitBase):
             f"Collision(tags={named}): name all tags"
         )
 
-    def _summed(self, here: Activation, components: int, add: Callable[[Array], None]) -> Array:
-        """Sums at the nodes, on all ranks with the nodes, shape (nodes, components). Collective.
-
-        Args:
-            here: The activation.
-            components: Number of components.
-            add: Function that adds this rank's part.
-        """
-        sums = Nodal([here.fields[0].basis.nodes], [components])
-        add(sums.arrays[0])
-        sums.add_up()
-        sums.spread()
-        return sums.arrays[0].copy()
-
-    @stages.assemble
-    def _at_nodes(self, s: Stencils, here: Activation) -> BodyAtNodes:
-        """Mass, volume and normal of a body. Collective."""
-        points, d = self._problem.points, self._problem.points.gdim
-        m = point_masses(points)
-        both = np.column_stack([m, points["V"]])
-        sums = self._summed(here, 2, lambda out: scatter(s, np.ones(len(m)), both, out))
-        weights = m[:, None, None] * np.eye(d)
-        slope = self._summed(here, d, lambda out: scatter_stress(s, weights, out))
-        return BodyAtNodes(self._settings.scaling * sums[:, 0], sums[:, 1], slope)
-
     def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> NodalContact:
         """The nodes at which bodies touch."""
         basis, room = here.fields[0].basis, None
@@ -217,41 +180,7 @@ class CollisionSteps(ExplicitBase):
                 room *= integrals(line, basis.degree)[basis.halo.node_ijk[:, k]]
         return NodalContact(bodies, room, self._collision.friction, self.kinks)
 
-    @stages.assemble
-    def _exchange_mapped(
-        self,
-        touching: NodalContact,
-        stencils: Sequence[Stencils],
-        bodies: Sequence[BodyAtNodes],
-        here: Activation,
-        after: Sequence[Array],
-        mapped: Sequence[Array],
-    ) -> None:
-        """Exchange momentum until mapped velocities of bodies do not approach. Collective.
-
-        Args:
-            touching: Nodes at which bodies touch, and the momentum exchanged so far.
-            stencils, bodies: Stencils and nodal sums of each body.
-            here: The activation.
-            after: Velocities at the end of the step (m/s), shape (nodes, d) per body; changed.
-            mapped: Velocities mapped from the points (m/s), shape (nodes, d) per body; changed.
-        """
-        points, fixed = self._problem.points, here.unknowns.fields[0].fixed
-        m = self._settings.scaling * point_masses(points)
-        at = touching.nodes[:, None].astype(np.float64)
-        near = [selected(s, collect(s, at, len(points))[:, 0] > 0.0) for s in stencils]
-        for k in range(_PASSES):
-            ahead = k / (k + 3.0) if k < _PASSES - 1 else 0.0
-            changes = touching.exchange([V.copy() for V in mapped], ahead)
-            for s, body, V, V_mapped, change in zip(near, bodies, after, mapped, changes):
-                V += change
-                change[fixed] = 0.0
-                v = collect(s, change, len(points))
-                p = self._summed(here, v.shape[1], partial(scatter, s, m, v))
-                p[fixed] = 0.0
-                V_mapped += p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
-
-    def _count(
+    def _add_works(
         self,
         external: float,
         sides: BodiesAtSides,
@@ -259,7 +188,7 @@ class CollisionSteps(ExplicitBase):
         damped: Sequence[Array],
         motion: tuple[Sequence[Array], Sequence[Array], Sequence[Array]],
         here: Activation,
-        times: tuple[float, float],
+        step: ExplicitStep,
     ) -> None:
         """Add the works of a step, and find the lateness of its velocities. Collective.
 
@@ -270,109 +199,26 @@ class CollisionSteps(ExplicitBase):
             motion: Velocities at the start and at the end of the step, and velocities by which the
                 bodies strain (m/s), shape (nodes, d) per body.
             here: The activation.
-            times: Length of the step, and time during which forces act (s).
+            step: The step.
         """
-        (before, after, strains), (dt, kick), work = motion, times, self._work
+        (before, after, strains), dt, work = motion, step.dt, self._work
         owned = here.unknowns.fields[0].owned_nodes
         resisted = sum(
             0.5 * dt * float(np.sum((g * (V + V_end))[owned]))
             for g, V, V_end in zip(damped, before, after)
         )
         rubbed, absorbed = sides.losses(strains, dt)
-        slipped, lost = touching.losses(before, strains, dt / kick, owned)
+        slipped, lost = touching.losses(before, strains, dt / step.kick, owned)
         received = touching.received[owned].sum(axis=0)
         sums = np.array([rubbed + slipped, resisted + absorbed, lost, *received])
         here.unknowns.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
         friction, damping, collision = map(float, sums[:3])
-        self.force = sums[3:] / kick
+        self.force = sums[3:] / step.kick
         work.external += external
         work.losses["friction"] += friction
         work.losses["damping"] += damping
         work.losses["collision"] += collision
         work.late = lateness(external - friction - damping, work.latest, 0.0, False)
-
-    def _count_start(
-        self,
-        bodies: Sequence[BodyAtNodes],
-        pushed: Sequence[Array],
-        changes: Sequence[Array],
-        here: Activation,
-    ) -> None:
-        """Add the energy of the start, see `Work`. Collective.
-
-        Args:
-            bodies: Nodal sums of each body.
-            pushed, changes: Changes of velocity by forces alone, and in all (m/s), shape
-                (nodes, d) per body.
-            here: The activation.
-        """
-        own, start = here.unknowns.fields[0], 0.0
-        for body, by_forces, change in zip(bodies, pushed, changes):
-            both = np.where(own.fixed, 0.0, by_forces * change)
-            start += 0.5 * float(np.sum((body.mass[:, None] * both)[own.owned_nodes]))
-        self._work.start += here.unknowns.comm.allreduce(start, op=MPI.SUM)
-
-    @stages.assemble
-    def _velocities(
-        self,
-        stencils: Sequence[Stencils],
-        bodies: Sequence[BodyAtNodes],
-        here: Activation,
-        sides: BodiesAtSides,
-        v: Array,
-    ) -> list[Array]:
-        """Nodal velocities of each body from the velocities of its points (m/s). Collective."""
-        m = self._settings.scaling * point_masses(self._problem.points)
-        found = []
-        for s, body in zip(stencils, bodies):
-            p = self._summed(here, v.shape[1], partial(scatter, s, m, v))
-            found.append(p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None])
-        sides.hold(found)
-        return found
-
-    @stages.assemble
-    def _forces(self, s: Stencils, here: Activation) -> Array:
-        """Forces of a body's stresses and loads on the nodes (N), shape (nodes, d). Collective."""
-        points, loads = self._problem.points, self._loads
-        weight = stress_volumes(points, self._problem.form.parts.declarations, points["V"])
-
-        def add(out: Array) -> None:
-            scatter_tensor(points, s, -weight[:, None, None] * points["stress"], out)
-            if loads.uniform:
-                given = np.broadcast_to(loads.gravity, (len(points), points.gdim))
-                scatter(s, point_masses(points), given, out)
-            else:
-                scatter(s, np.ones(len(points)), loads.body, out)
-
-        return self._summed(here, points.gdim, add)
-
-    def _points(
-        self,
-        stencils: Sequence[Stencils],
-        rows: Sequence[Rows],
-        before: Sequence[Array],
-        after: Sequence[Array],
-        kick: float,
-    ) -> dict[str, Array]:
-        """New velocities and accelerations of the points."""
-        points, mapping = self._problem.points, self._settings.mapping
-        share = mapping.flip_share
-        v, a = points["velocity"].copy(), np.zeros_like(points["x"])
-        for s, own, V, V_end in zip(stencils, rows, before, after):
-            change, there = (collect(s, values, len(points))[own] for values in (V_end - V, V_end))
-            v[own] = share * (v[own] + change) + (1.0 - share) * there
-            a[own] = change / kick
-        return {"velocity": v, "acceleration": a}
-
-    @staticmethod
-    def _place(operator: Operator, rows: Sequence[Rows], increments: Sequence[Array]) -> None:
-        """Evaluate the increments of its own body at each point."""
-        value, gradient = operator.points.value[0], operator.points.gradient[0]
-        found = np.zeros_like(value), np.zeros_like(gradient)
-        for own, u in zip(rows, increments):
-            operator.set_increments([u])
-            found[0][own], found[1][own] = value[own], gradient[own]
-        value[:], gradient[:] = found
 
     def _load_work(self, moved: Array) -> float:
         """Work of the loads in a step (J). Collective."""
@@ -382,3 +228,151 @@ class CollisionSteps(ExplicitBase):
         if loads.uniform:
             f = point_masses(points)[:, None] * loads.gravity
         return points.comm.allreduce(float(np.sum(f * way)), op=MPI.SUM)
+
+
+class SeveralBodies:
+    """The bodies in one step: their points, with their stencils, and their nodes. Collective.
+
+    Args:
+        problem: The problem.
+        rows: Mask of the points of each body, shape (points,) each.
+        here: The activation.
+        settings: Settings of the steps.
+
+    Attributes:
+        at_nodes: Nodal sums of each body.
+    """
+
+    @stages.assemble
+    def __init__(
+        self, problem: Problem, rows: Sequence[Rows], here: Activation, settings: Settings
+    ):
+        self._problem, self._points, self._here = problem, problem.points, here
+        self._rows, self._settings = rows, settings
+        self._stencils = [selected(here.fields[0].stencils, own) for own in rows]
+        self._m = settings.mass_scaling * point_masses(self._points)
+        self.at_nodes = [self._sums_of(s) for s in self._stencils]
+
+    def _summed(self, components: int, add: Callable[[Array], None]) -> Array:
+        """Sums at the nodes, on all ranks with the nodes, shape (nodes, components). Collective.
+
+        Args:
+            components: Number of components.
+            add: Function that adds this rank's part.
+        """
+        sums = Nodal([self._here.fields[0].basis.nodes], [components])
+        add(sums.arrays[0])
+        sums.add_up()
+        sums.spread()
+        return sums.arrays[0].copy()
+
+    def _sums_of(self, s: Stencils) -> BodyAtNodes:
+        """Mass, volume and normal of a body. Collective."""
+        m, d = point_masses(self._points), self._points.gdim
+        both = np.column_stack([m, self._points["V"]])
+        sums = self._summed(2, lambda out: scatter(s, np.ones(len(m)), both, out))
+        weights = m[:, None, None] * np.eye(d)
+        slope = self._summed(d, lambda out: scatter_stress(s, weights, out))
+        return BodyAtNodes(self._settings.mass_scaling * sums[:, 0], sums[:, 1], slope)
+
+    @stages.assemble
+    def velocities(self, v: Array, sides: BodiesAtSides, ends: bool = False) -> list[Array]:
+        """Nodal velocities of each body (m/s), from velocities of the points. Collective.
+
+        Args:
+            v: Velocities of the points (m/s), shape (points, d).
+            sides: Sides of the grid, and conditions.
+            ends: Whether these are velocities at the end of the step: sides hold stopped nodes.
+        """
+        found = []
+        for s, body in zip(self._stencils, self.at_nodes):
+            p = self._summed(v.shape[1], partial(scatter, s, self._m, v))
+            found.append(p / body.divisor)
+        sides.constrain(found)
+        if ends:
+            sides.constrain_stopped(found)
+        return found
+
+    @stages.assemble
+    def forces(self, loads: FusedLoads) -> list[Array]:
+        """Nodal forces of each body by its stresses and loads (N), shape (nodes, d). Collective."""
+        points, n = self._points, len(self._points)
+        declarations = self._problem.form.parts.declarations
+        weight = stress_volumes(points, declarations, points["V"])
+
+        def add(s: Stencils, out: Array) -> None:
+            scatter_tensor(points, s, -weight[:, None, None] * points["stress"], out)
+            if loads.uniform:
+                given = np.broadcast_to(loads.gravity, (n, points.gdim))
+                scatter(s, point_masses(points), given, out)
+            else:
+                scatter(s, np.ones(n), loads.body, out)
+
+        return [self._summed(points.gdim, partial(add, s)) for s in self._stencils]
+
+    @stages.assemble
+    def exchange_mapped(
+        self, touching: NodalContact, after: Sequence[Array], mapped: Sequence[Array]
+    ) -> None:
+        """Exchange momentum until mapped velocities of bodies do not approach. Collective.
+
+        Args:
+            touching: Nodes at which bodies touch, and the momentum exchanged so far.
+            after: Velocities at the end of the step (m/s), shape (nodes, d) per body; changed.
+            mapped: Velocities mapped from the points (m/s), shape (nodes, d) per body; changed.
+        """
+        n, fixed = len(self._points), self._here.unknowns.fields[0].fixed
+        at = touching.nodes[:, None].astype(np.float64)
+        near = [selected(s, collect(s, at, n)[:, 0] > 0.0) for s in self._stencils]
+        for k in range(_PASSES):
+            ahead = k / (k + 3.0) if k < _PASSES - 1 else 0.0
+            changes = touching.exchange([V.copy() for V in mapped], ahead)
+            for s, body, V, V_mapped, change in zip(near, self.at_nodes, after, mapped, changes):
+                V += change
+                change[fixed] = 0.0
+                v = collect(s, change, n)
+                p = self._summed(v.shape[1], partial(scatter, s, self._m, v))
+                p[fixed] = 0.0
+                V_mapped += p / body.divisor
+
+    def energy_of_start(
+        self, pushed: Sequence[Array], before: Sequence[Array], after: Sequence[Array]
+    ) -> float:
+        """Energy of the step that begins a run, see `Work` (J). Collective.
+
+        Args:
+            pushed: Changes of velocity by forces alone (m/s), shape (nodes, d) per body.
+            before, after: Velocities at the start and at the end of the step, likewise.
+        """
+        own, start = self._here.unknowns.fields[0], 0.0
+        for body, by_forces, V, V_end in zip(self.at_nodes, pushed, before, after):
+            both = np.where(own.fixed, 0.0, by_forces * (V_end - V))
+            start += 0.5 * float(np.sum((body.mass[:, None] * both)[own.owned_nodes]))
+        return self._here.unknowns.comm.allreduce(start, op=MPI.SUM)
+
+    def to_points(
+        self, before: Sequence[Array], after: Sequence[Array], kick: float
+    ) -> dict[str, Array]:
+        """New velocities and accelerations of the points."""
+        points, share = self._points, self._settings.mapping.flip_share
+        v, a = points["velocity"].copy(), np.zeros_like(points["x"])
+        for s, own, V, V_end in zip(self._stencils, self._rows, before, after):
+            change, there = (collect(s, values, len(points))[own] for values in (V_end - V, V_end))
+            v[own] = share * (v[own] + change) + (1.0 - share) * there
+            a[own] = change / kick
+        return {"velocity": v, "acceleration": a}
+
+    def mapping_loss(self, new: dict[str, Array], kick: float) -> float:
+        """Kinetic energy that the mapping takes from the points in a step (J). Collective."""
+        change, filtered = kick * new["acceleration"], self._settings.scheme == "musl"
+        own = mapping_loss(self._points["velocity"], change, new["velocity"], self._m, filtered)
+        return self._points.comm.allreduce(own, op=MPI.SUM)
+
+    def place(self, operator: Operator, increments: Sequence[Array]) -> None:
+        """Evaluate the increments of its own body at each point."""
+        value, gradient = operator.points.value[0], operator.points.gradient[0]
+        found = np.zeros_like(value), np.zeros_like(gradient)
+        for own, u in zip(self._rows, increments):
+            operator.set_increments([u])
+            found[0][own], found[1][own] = value[own], gradient[own]
+        value[:], gradient[:] = found

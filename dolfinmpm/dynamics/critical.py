@@ -23,7 +23,7 @@ from dolfinmpm.solve import spectra
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["cell_sizes_at", "critical_step", "exact_step", "factor", "wave_speed"]
+__all__ = ["cell_sizes_at", "critical_step", "exact_step", "wave_speed"]
 
 Array = npt.NDArray[np.float64]
 
@@ -122,19 +122,19 @@ def critical_step(
     return factor(basis, mass, tied) * h / fastest
 
 
-def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: float) -> float:
+def exact_step(form: WeakForm, terms: MassTerms, here: Activation, mass_scaling: float) -> float:
     """2/√λ_max of tangent and mass (s), without penalties on the increment. Collective.
 
     Args:
         form: The weak form, whose tangent is compiled.
         terms: The terms of the mass.
         here: The activation.
-        scaling: Factor of the mass.
+        mass_scaling: Factor of the mass.
     """
     # explicit steps use no tangent, and so no penalties on the increment
     operator = Operator(form, replace(here, blocks={"mass": here.blocks_of("mass")}))
     operator.move_to_zero()
     K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))
     operator.tangent(K)
-    Mass(terms, here, scaling).add_to(M)
+    Mass(terms, here, mass_scaling).add_to(M)
     return spectra.critical_step(K.petsc, M.petsc)

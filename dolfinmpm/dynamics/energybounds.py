@@ -116,7 +116,7 @@ class EnergyBalance:
         self._first: float | None = None
         self._last = self._most = 0.0
 
-    def fault(self, begins: bool = False) -> str | None:
+    def gain(self, begins: bool = False) -> str | None:
         """Message about energy gained without a cause, or None. Collective.
 
         A stable run may lose energy to the grid, and may gain a little in "usf". The gain is

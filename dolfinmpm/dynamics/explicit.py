@@ -21,7 +21,6 @@ from dolfinx import fem
 from dolfinmpm._platform.argumentchecks import check_kind, choice, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, raise_together
-from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
@@ -31,24 +30,22 @@ from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.collisionsteps import CollisionSteps, collision_error
 from dolfinmpm.dynamics.critical import cell_sizes_at, critical_step, exact_step
 from dolfinmpm.dynamics.energybounds import EnergyBalance
-from dolfinmpm.dynamics.explicitcall import ExplicitCall
+from dolfinmpm.dynamics.explicitbase import Settings, checked_courant
+from dolfinmpm.dynamics.explicitcall import CallMemory, ExplicitCall, Snapshot
 from dolfinmpm.dynamics.faces import (
-    Sides,
     ghost_mass_at,
     refuse_constraints,
     split_conditions,
 )
-from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
+from dolfinmpm.dynamics.facesatnodes import Sides
+from dolfinmpm.dynamics.fusable import why_not
 from dolfinmpm.dynamics.fused import FusedSteps
-from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import GeneralSteps
 from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.settings import Settings, checked_courant
-from dolfinmpm.dynamics.smallmass import check_filters
-from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
+from dolfinmpm.dynamics.smallmass import BulkViscosity, check_filters
 from dolfinmpm.forms.formchecks import check_explicit
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
@@ -70,8 +67,11 @@ class Explicit(MovingBody, Problem):
 
     Velocities are half a step behind positions. A force changes the velocities over half of the
     step before and half of the step after. So steps may change their length. The first step has no
-    step before: velocities that are given are those at the start. Prescribed velocities are those
-    in the middle of a step. `energies()` gives the kinetic energy at the time of the positions.
+    step before: velocities that are given are those at the start. Velocities that are set later
+    are those in the middle of the last step, half a step before the positions, as all velocities
+    that the points have then: the next step changes them by forces over half of both steps.
+    Prescribed velocities are those in the middle of a step. `energies()` gives the kinetic energy
+    at the time of the positions.
 
     `step(t)` goes to the time t in as many steps as stability requires. In a loop over
     `times(end, dt="auto")` each call takes twenty fused steps, or one step that is not fused.
@@ -97,7 +97,8 @@ class Explicit(MovingBody, Problem):
         mass_scaling: Factor of the mass in the inertia, not in the loads. Steps grow by the square
             root of the factor.
         bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
-            against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2).
+            against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2). They
+            shorten `critical_step`.
         mass_cutoff: Nodes with less than this share of the largest mass stand still (Sulsky,
             Zhou & Schreyer 1995). Their forces are lost, and momentum with them: some 0.5 % to 4 %
             in runs of "musl". In "usl" and "usf" they also strain what moves, and a share of 0.01
@@ -193,7 +194,7 @@ class Explicit(MovingBody, Problem):
         self.form.add(terms)
         self.form.start_in_time(None)
         self.scheme.settings, self.scheme.terms, self.time = settings, terms, 0.0
-        ledger = Ledger(points, self.form, self.bodies, settings.scaling, by_points=True)
+        ledger = Ledger(points, self.form, self.bodies, settings.mass_scaling, by_points=True)
         self.balance = EnergyBalance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
@@ -209,11 +210,13 @@ class Explicit(MovingBody, Problem):
             raise_together(points.comm, collision_error(self, mass, settings))
             self._loop = CollisionSteps(self, settings, sides, collision)
             return
-        found = self._fused(sides, options) if truth("fused", fused) else "fused=False"
-        if isinstance(found, str):
-            self._loop = GeneralSteps(self, settings, sides, found)
+        reason: str | None = "fused=False"
+        if truth("fused", fused):
+            reason = why_not(self, settings, sides, options)
+        if reason is not None:
+            self._loop = GeneralSteps(self, settings, sides, reason)
         else:
-            self._loop = found
+            self._loop = FusedSteps(self, settings, sides)
 
     @property
     def unfused(self) -> str:
@@ -237,7 +240,7 @@ class Explicit(MovingBody, Problem):
         """
         settings, collides = self.settings, isinstance(self._loop, CollisionSteps)
         resists = settings.damping or settings.viscosity != (0.0, 0.0)
-        if not (collides or self._loop.sides.rubbing or self.bodies.contacts or resists):
+        if not (collides or self._loop.sides.frictional or self.bodies.contacts or resists):
             return None
         if isinstance(self._loop, FusedSteps):
             why = "it is watched where steps are not smooth"
@@ -265,40 +268,22 @@ class Explicit(MovingBody, Problem):
         """The velocity mapping between points and grid."""
         return self.settings.mapping
 
-    def _fused(self, sides: Sides, options: dict[str, Any]) -> FusedSteps | str:
-        """The fused loops, or why there are none."""
-        form, field, settings = self.form, self.fields[0], self.settings
-        reason = why_not(form, field, self.terms.kind, settings, self.held, options)
-        if reason is None and sides.incoming:
-            reason = "waves come in through a side"
-        if reason is None and sides.rubbing and settings.scheme == "usf":
-            reason = 'frictional sides with scheme="usf"'
-        if reason is not None:
-            return reason
-        laws, loads = Laws(self.points, form.parts.declarations), FusedLoads(form)
-        contacts, rigid = self.bodies.contacts, None
-        if contacts:
-            rigid = RigidContacts(contacts, self.bodies, self.points)
-        basis, domains = field.space.basis, field.space.domains
-        assert isinstance(basis, LatticeBasis)
-        return FusedSteps(
-            self.points, basis, self.held, laws, loads, settings, sides, domains, rigid
-        )
-
     @collective
     def critical_step(self, exact: bool = False) -> float:
         """The longest stable step (s). Collective.
+
+        Bulk viscosity shortens it. The part of its quadratic coefficient is that of the last step.
 
         Args:
             exact: True gives 2/√λ_max of the eigenproblem K x = λ M x in the present state. The
                 tangent is then compiled. False gives an estimate by wave speed and grid.
         """
-        scaling = self.settings.scaling
+        mass_scaling, loop = self.settings.mass_scaling, self._loop
         if truth("exact", exact):
             here = self.activate()
             if self.form.boundaries:
                 here, _ = weighed(self.form, here)
-            return exact_step(self.form, self.terms, here, scaling)
+            return self._by_viscosity(exact_step(self.form, self.terms, here, mass_scaling))
         self.form.bind()
         field, declarations = self.fields[0], self.form.parts.declarations
         tied = (
@@ -311,9 +296,18 @@ class Explicit(MovingBody, Problem):
         )
         # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
-        held = self._loop.held() if isinstance(self._loop, GeneralSteps) else Stiffness()
-        rate = (1.0 + held.share) / found**2 + 0.25 * (springs + held.rate)
-        return math.sqrt(scaling / rate)
+        boundaries = loop.boundary_stiffness() if isinstance(loop, GeneralSteps) else Stiffness()
+        rate = (1.0 + boundaries.share) / found**2 + 0.25 * (springs + boundaries.rate)
+        return self._by_viscosity(math.sqrt(mass_scaling / rate))
+
+    def _by_viscosity(self, longest: float) -> float:
+        """The longest stable step (s), from that without bulk viscosity. Collective."""
+        return self.viscosity.shorten(longest) if self.viscosity is not None else longest
+
+    @property
+    def viscosity(self) -> BulkViscosity | None:
+        """Bulk viscosity, or None without it. Fused steps have none."""
+        return self._loop.viscosity if isinstance(self._loop, GeneralSteps) else None
 
     def _set_penalties(self, here: Activation) -> None:
         self.form.set_penalties(replace(here, blocks={}), ghost=False)
@@ -379,7 +373,7 @@ class Marching(Scheme):
         """See `Scheme`."""
         own, kind = self._problem.settings, self._problem.terms.kind
         steps = f"scheme = {own.scheme}, {kind} mass, damping = {own.damping:g}"
-        return {"steps": f"{steps}, mass_scaling = {own.scaling:g}"}
+        return {"steps": f"{steps}, mass_scaling = {own.mass_scaling:g}"}
 
     def identity(self) -> dict[str, Any]:
         """See `Scheme`."""
@@ -387,9 +381,13 @@ class Marching(Scheme):
 
     def state(self) -> dict[str, Any]:
         """See `Scheme`."""
-        return {"time": self._problem.time, **self._problem.ledger.state()}
+        found = {"time": self._problem.time, **self._problem.ledger.state()}
+        viscosity = self._problem.viscosity
+        return found if viscosity is None else found | {"compression": viscosity.compression}
 
     def set_state(self, values: StateOf[str, Any]) -> None:
         """See `Scheme`."""
         self._problem.time = values["time"]
+        if self._problem.viscosity is not None:
+            self._problem.viscosity.compression = values["compression"]
         self._problem.ledger.set_state(values)

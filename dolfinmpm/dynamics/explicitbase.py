@@ -1,21 +1,131 @@
-"""Explicit steps taken one after the other, in contrast to fused steps."""
+"""Settings of explicit steps, checked, and the base of steps that are not fused."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Set
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 
-from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm._platform.argumentchecks import choice, number
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Work
-from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.mappings import Mapping, mapping_of
+from dolfinmpm.dynamics.smallmass import Filter, checked_viscosity, filters
 from dolfinmpm.solve.step import Step
 
-__all__ = ["ExplicitBase"]
+__all__ = ["ExplicitBase", "Settings", "checked_courant"]
+
+SCHEMES = ("usl", "usf", "musl")
+
+
+def checked_courant(courant: Any) -> float:
+    """The Courant number, a share of the critical step, or infinity.
+
+    Raises:
+        ParameterError: The argument is no number, or above 1.
+    """
+    share = math.inf if courant == math.inf else number("courant", courant, 0.0)
+    if 1.0 < share < math.inf:
+        raise ParameterError(
+            f"courant = {share:g} is a share of the critical step and must be at most 1: longer "
+            "steps give wrong figures long before they are seen to be unstable; math.inf leaves "
+            "the steps as long as the times of problem.step(t) make them"
+        )
+    return share
+
+
+@dataclass(frozen=True)
+class ExplicitStep(Step):
+    """A step between velocities that are half a step behind positions.
+
+    Attributes:
+        kick: Time during which forces act (s): half of the step before and half of this one.
+    """
+
+    kick: float = 1.0
+
+    @property
+    def begins(self) -> bool:
+        """Whether a run begins with it: without a step before, forces act for half a step."""
+        return 2.0 * self.kick == self.dt
+
+    @property
+    def before(self) -> float:
+        """Length of the step before (s); 0 where a run begins."""
+        return 2.0 * self.kick - self.dt
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of explicit steps, see `Explicit`.
+
+    Attributes:
+        scheme: Order of the stress update.
+        mapping: The velocity mapping between points and grid.
+        damping: Share of local damping.
+        mass_scaling: Factor of the mass in the inertia.
+        viscosity: Linear and quadratic coefficients of bulk viscosity.
+        filters: Filters of light nodes.
+        clock: DOLFINx constant that holds the time (s), or None.
+    """
+
+    scheme: str
+    mapping: Mapping
+    damping: float
+    mass_scaling: float
+    viscosity: tuple[float, float]
+    filters: tuple[Filter, ...]
+    clock: fem.Constant | None
+
+    @staticmethod
+    def of(
+        scheme: Any,
+        mapping: Any,
+        basis: Any,
+        mass: str,
+        damping: Any,
+        mass_scaling: Any,
+        bulk_viscosity: Any,
+        mass_cutoff: Any,
+        redistribution: Any,
+        clock: fem.Constant | None,
+    ) -> Settings:
+        """Settings by the user's arguments, for a basis and a kind of mass.
+
+        Raises:
+            ParameterError: An argument has the wrong type or a value outside its range.
+        """
+        chosen = mapping_of(mapping, "flip")
+        if chosen.kind == "accel":
+            raise ParameterError('mapping = "accel" is of implicit steps; use "flip"')
+        return Settings(
+            choice("scheme", scheme, SCHEMES),
+            chosen.on(basis, mass),
+            number("damping", damping, 0.0, 1.0, closed=True),
+            number("mass_scaling", mass_scaling, 0.0),
+            checked_viscosity(bulk_viscosity),
+            tuple(filters(mass_cutoff, redistribution)),
+            clock,
+        )
+
+    @property
+    def gives_back(self) -> bool:
+        """Whether points add the change of the nodes' velocities, and move by the sum ("musl")."""
+        return self.scheme == "musl" and self.mapping.kind == "flip" and self.mapping.share == 1.0
+
+    @property
+    def plain(self) -> bool:
+        """Whether neither bulk viscosity nor filters of light nodes act."""
+        return not self.filters and self.viscosity == (0.0, 0.0)
+
 
 Array = npt.NDArray[np.float64]
 
@@ -60,17 +170,14 @@ class ExplicitBase(ABC):
         """End a call. These steps keep no arrays of the points."""
 
     def run(
-        self, count: int, dt: float, kick: float, more: bool, begin: Callable[[int], Step]
+        self, count: int, more: bool, begin: Callable[[int], ExplicitStep]
     ) -> tuple[int, int, str | None]:
         """Take equal steps. Collective.
 
         Args:
             count: Number of steps.
-            dt: Length of each step (s).
-            kick: Time during which forces act in the first step (s): half of the last step and half
-                of this one.
             more: Whether further steps follow without a new start.
-            begin: Function from the number of a step to the `Step`. It sets the time in form and
+            begin: Function from the number of a step to the step. It sets the time in form and
                 conditions.
 
         Returns:
@@ -79,19 +186,15 @@ class ExplicitBase(ABC):
         """
         migrated = 0
         for k in range(count):
-            found = self._take(begin(k), dt if k else kick)
+            found = self._take(begin(k))
             if isinstance(found, str):
                 return k, migrated, found
             migrated += found
         return count, migrated, None
 
     @abstractmethod
-    def _take(self, step: Step, kick: float) -> int | str:
+    def _take(self, step: ExplicitStep) -> int | str:
         """Take one step. Collective.
-
-        Args:
-            step: The step.
-            kick: Time during which forces act in the step (s).
 
         Returns:
             Number of points that changed rank, or the reason of a failure.

@@ -1,25 +1,124 @@
-"""One call of `Explicit.step`: number, length and checks of its steps."""
+"""One call of `Explicit.step`: number, length and checks of its steps, and copies of the state."""
 
 from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Set
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform import petscgarbage, stages
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm.body.loadbalance import balance, imbalance
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.resultfields import overwritten, seal_results, unseal_results
-from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time
+from dolfinmpm.contact.rigidbodies import RigidBodies
+from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time, set_velocities
 from dolfinmpm.dynamics.energies import fastest_point
-from dolfinmpm.dynamics.faces import set_velocities
-from dolfinmpm.dynamics.snapshot import CallMemory
+from dolfinmpm.dynamics.explicitbase import ExplicitStep
+from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.loads import check_loads
-from dolfinmpm.solve.step import Step
 
-__all__ = ["ExplicitCall"]
+__all__ = ["CallMemory", "ExplicitCall", "Snapshot"]
+
+# Fields that no step changes
+_FIXED = frozenset(("id", "tag", "x0", "V0", "l0", "density"))
+
+
+class Snapshot:
+    """A copy of the state of points and bodies. The next copy uses the same memory.
+
+    Args:
+        points: Material points.
+        bodies: Rigid bodies.
+        markers: Markers of boundaries that do not fit the grid.
+
+    Attributes:
+        time: Time of the copy (s).
+    """
+
+    def __init__(
+        self, points: MaterialPoints, bodies: RigidBodies, markers: Sequence[MaterialPoints] = ()
+    ):
+        self.time = math.nan
+        self._bodies, self._of_bodies = bodies, bodies.state()
+        self._sets, self._work = [points, *markers], Work().values()
+        self._revision = -1
+        self._fields: list[dict[str, npt.NDArray]] = [{} for _ in self._sets]
+
+    def take(self, time: float, work: Work, touched: Set[str]) -> None:
+        """Copy the present state.
+
+        Args:
+            time: Time of the state (s).
+            work: Works until this time.
+            touched: Fields of the points that the user may have changed since the last copy.
+        """
+        revision = self._sets[0].revision
+        still = _FIXED - touched if revision == self._revision else frozenset()
+        self._revision = revision
+        self.time, self._of_bodies = time, self._bodies.state()
+        self._work = work.values()
+        for k, (points, kept) in enumerate(zip(self._sets, self._fields)):
+            self._fields[k] = {}
+            for name in points.fields:
+                values, own = points.fields.read(name), kept.get(name)
+                if k == 0 and name in still and own is not None:
+                    self._fields[k][name] = own
+                    continue
+                if own is None or own.shape != values.shape:
+                    own = np.empty_like(values)
+                np.copyto(own, values)
+                self._fields[k][name] = own
+
+    def restore(self, work: Work) -> None:
+        """Restore the state and the works. Points go back to their ranks. Collective."""
+        self._bodies.set_state(self._of_bodies)
+        work.take(self._work)
+        for points, fields in zip(self._sets, self._fields):
+            for name, values in fields.items():
+                points.fields[name] = values.copy()
+            points.recount()
+            points.locate()
+
+
+@dataclass
+class CallMemory:
+    """Data that explicit steps keep from call to call.
+
+    Attributes:
+        state: Copy of the state to which a failed run goes back.
+        moment: End of the last call, to find fields changed later; see `FieldArrays`. None if all
+            fields count as changed.
+        critical: The last critical step (s).
+        steps_since: Number of steps since the critical step was found.
+        single: Whether the last call took one step. Calls with one step share a critical step. A
+            call with several steps finds its own.
+    """
+
+    state: Snapshot
+    moment: int | None = None
+    critical: float = math.nan
+    steps_since: int = 0
+    single: bool = False
+
+    def touched(self, points: MaterialPoints) -> Set[str]:
+        """Fields that may have been changed since the last call, on any rank. Collective."""
+        fields, comm = points.fields, points.comm
+        touched, self.moment = fields.touched(self.moment), None
+        if comm.size == 1:
+            return touched
+        names = sorted(fields)
+        flags = np.array([name in touched for name in names], np.uint8)
+        comm.Allreduce(MPI.IN_PLACE, flags, op=MPI.MAX)
+        return {name for name, flag in zip(names, flags) if flag}
+
 
 # Number of steps between updates of the critical step, and between checks of the energy balance
 _CHECK_EVERY = 20
@@ -140,17 +239,18 @@ class ExplicitCall:
         problem, record, whole = self._problem, self._record, self._whole
         start, time = problem.time, problem.settings.clock
 
-        def begin(k: int) -> Step:
+        # velocities are half of the last step behind positions, and none before the first step
+        kick = 0.5 * (problem.ledger.work.length + dt)
+
+        def begin(k: int) -> ExplicitStep:
             end = start + (k + 1) * dt
             set_velocities(problem.bcs, lambda v: v(end - 0.5 * dt) * whole)
             if time is not None:
                 time.value = start + k * dt
-            return Step(end, dt, dt / whole)
+            return ExplicitStep(end, dt, dt / whole, dt if k else kick)
 
         work = problem.ledger.work
-        # velocities are half of the last step behind positions, and none before the first step
-        kick = 0.5 * (work.length + dt)
-        taken, migrated, reason = self._loop.run(count, dt, kick, more, begin)
+        taken, migrated, reason = self._loop.run(count, more, begin)
         work.add(self._loop.work())
         work.length = dt
         record.parts, record.migrated = record.parts + taken, record.migrated + migrated
@@ -174,19 +274,19 @@ class ExplicitCall:
     def _check_speeds(self, dt: float) -> None:
         """Raise if rigid bodies are too fast for steps of a length (s). Collective."""
         bodies = self._problem.bodies
-        fault = bodies.fault(dt)
+        fault = bodies.too_fast(dt)
         advice = "give a smaller velocity, or a smaller courant number"
         raise_together(
             self._problem.comm, None if fault is None else ParameterError(f"{fault}; {advice}")
         )
         # forces drive free bodies in the same way on all ranks
-        fault = bodies.fault(dt, inertia=True) if bodies.free else None
+        fault = bodies.too_fast(dt, inertia=True) if bodies.free else None
         if fault is not None:
             raise self._unstable(fault, dt)
 
     def _check_energy(self, begins: bool = False) -> None:
         """Raise InstabilityError if energy grows without a cause. Collective."""
-        reason = self._problem.balance.fault(begins)
+        reason = self._problem.balance.gain(begins)
         if reason is not None:
             raise self._unstable(reason, self._record.dt)
 

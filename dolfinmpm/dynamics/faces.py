@@ -1,47 +1,37 @@
-"""Frictional and absorbing sides of the grid, in steps in time."""
+"""Frictional, absorbing and free-field sides of the grid, in steps in time."""
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
-from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_kind, number, shown
+from dolfinmpm._platform.argumentchecks import check_function, check_kind, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis.conditions import Condition, prescribed
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field
-from dolfinmpm.dynamics.facesatnodes import Faces
+from dolfinmpm.dynamics.facesatnodes import has_columns
 from dolfinmpm.dynamics.groundcolumn import GroundColumn
-from dolfinmpm.dynamics.incomingwaves import checked_incoming
 from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.sides import side_of
+from dolfinmpm.grid.userfunctions import VelocityByTime
 
 __all__ = [
     "Face",
-    "Faces",
-    "Sides",
     "absorbing",
-    "check_sides",
-    "face_at",
+    "free_field",
     "frictional",
     "ghost_mass_at",
     "refuse_constraints",
-    "refuse_leaves",
-    "set_velocities",
     "split_conditions",
 ]
 
-Array = npt.NDArray[np.float64]
 # Ghost penalty of the mass at free-field sides, by degree. Level ground then moves as its column
 # does to 0.5 % (waves of 12 cells); the usual penalty makes 6 %.
 _GHOST_BESIDE = {1: 1e-3, 2: 1e-2, 3: 1e-1}
@@ -185,8 +175,46 @@ def absorbing(
         )
     d = space.grid.geometry.dim
     axes = [side_of(side, d)[1] for side in sides]
-    waves = checked_incoming(incoming, (rho * p, rho * s), axes, d)
+    waves = _checked_incoming(incoming, (rho * p, rho * s), axes, d)
     return [face_at(space, side, None, (rho * p, rho * s), waves) for side in sides]
+
+
+def _checked_incoming(
+    incoming: Any, impedance: Sequence[float], axes: Sequence[int], d: int
+) -> tuple[VelocityByTime | None, ...] | None:
+    """Velocities of incoming waves, one per direction, or None without any.
+
+    Args:
+        incoming: The argument: None, or one function of time or None per direction.
+        impedance: Impedances of pressure and shear waves (Pa s/m).
+        axes: Directions of the normals of the sides.
+        d: Dimension of space.
+
+    Raises:
+        ParameterError: An entry is no function of time, or a side has no dashpots for it.
+    """
+    if incoming is None:
+        return None
+    if not isinstance(incoming, (list, tuple)) or len(incoming) != d:
+        raise ParameterError(
+            f"incoming = {shown(incoming)} must be one velocity per direction, None for none: "
+            f"incoming=({', '.join(['record'] + ['None'] * (d - 1))})"
+        )
+    waves: list[VelocityByTime | None] = [None] * d
+    for k, wave in enumerate(incoming):
+        if wave is None:
+            continue
+        check_function("incoming", wave, "of time that returns the velocity of the wave (m/s)")
+        waves[k] = by_time = VelocityByTime.of("incoming", wave)
+        by_time(0.0)
+        for axis in axes:
+            if not impedance[0 if k == axis else 1] > 0.0:
+                speed = "p_speed" if k == axis else "s_speed"
+                raise ParameterError(
+                    f"a wave comes in with motion in the direction {k}, and {speed} = 0 m/s gives "
+                    f"the side no dashpots there: give {speed} of the ground beyond the side"
+                )
+    return tuple(waves) if any(waves) else None
 
 
 def check_sides(space: Any, sides: tuple[Any, ...]) -> None:
@@ -251,7 +279,7 @@ def ghost_mass_at(
     Nodes that constraints tie to others take no forces of faces. So a small ghost penalty takes the
     place of constraints: it hardly acts on a motion that is the same along a level.
     """
-    if mass != "consistent" or ghost_mass is not None or not _beside(faces):
+    if mass != "consistent" or ghost_mass is not None or not has_columns(faces):
         return ghost_mass
     return _GHOST_BESIDE[space.basis.degree]
 
@@ -259,140 +287,77 @@ def ghost_mass_at(
 def refuse_constraints(faces: Sequence[Face], fields: Sequence[Field]) -> None:
     """Raise ParameterError if constraints act between nodes and a face is beside a column."""
     tied = any(field.constrains_nodes or field.prolongate is not None for field in fields)
-    if _beside(faces) and tied:
+    if has_columns(faces) and tied:
         raise ParameterError(
             "free-field sides push nodes, and constraints between nodes would drop the pushes: "
             'leave out prolongation= and stabilisation="aggregation", and take "ghost"'
         )
 
 
-def _beside(faces: Sequence[Face]) -> bool:
-    return any(face.column is not None for face in faces)
+@collective
+def free_field(space: Space, *sides: str, column: GroundColumn) -> list[Face]:
+    """Sides that move with the ground beside a body, and let its own waves out. Collective.
 
+    The ground beside the body is a column of level ground under the same earthquake. The side feels
+    the column's stress, and dashpots on the difference of both velocities, with the impedances of
+    the column's elastic laws: t = σ_c n + ρ c (v_c − v). So level ground moves as the column does,
+    and waves that a slope or a building adds leave (Lysmer & Kuhlemeyer 1969; Zienkiewicz, Bicanic
+    & Shen 1989; Nielsen 2006, doi 10.1016/j.compgeo.2005.12.002).
 
-def set_velocities(
-    conditions: Sequence[Condition], value: Callable[[Callable[[float], float]], float]
-) -> None:
-    """Set the increments of conditions that prescribe velocities.
-
-    Args:
-        conditions: Conditions. Conditions without a velocity stay unchanged.
-        value: Function from a velocity by time (m/s) to the increment (m).
-    """
-    for condition in conditions:
-        if condition.velocity is not None:
-            assert isinstance(condition.value, fem.Constant)
-            condition.value.value = value(condition.velocity)
-
-
-def _refuse_held(face: Face, condition: Condition) -> None:
-    """Raise ParameterError if a condition constrains all dashpots of a face. Collective."""
-    if condition.space is not face.space or not face.damps(condition.component):
-        return
-    free = bool(np.setdiff1d(face.nodes, condition.nodes).size)
-    if not face.space.grid.comm.allreduce(free, op=MPI.LOR):
-        raise ParameterError(
-            f"the absorbing face at '{face.where}' damps velocities in the direction "
-            f"{condition.component}, and the condition at '{condition.where}' holds them there, so "
-            "that it would do nothing: leave out one of both"
-        )
-
-
-def _refuse_stuck(face: Face, conditions: Sequence[Condition]) -> None:
-    """Raise ParameterError if conditions prevent all sliding along a face. Collective."""
-    if not face.friction:
-        return
-    held = set()
-    for condition in conditions:
-        if condition.space is face.space:
-            free = bool(np.setdiff1d(face.nodes, condition.nodes).size)
-            if not face.space.grid.comm.allreduce(free, op=MPI.LOR):
-                held.add(condition.component)
-    if held >= set(range(face.space.components)) - {face.axis}:
-        raise ParameterError(
-            f"the frictional face at '{face.where}' rubs against what slides along it, and "
-            "conditions hold the nodes there, so that it would do nothing: leave out one of both"
-        )
-
-
-class Sides:
-    """Faces of the grid in any numbering of the nodes.
+    The side is the end of the body in this direction at the start, and follows the column. It may
+    be within the grid: leave free cells beside the body if the ground moves far. Conditions must
+    not hold it. Both clocks have the same time.
 
     Args:
-        faces: The faces.
-        points: Material points on which the faces act.
-        conditions: Essential conditions of the problem.
+        space: Space of the body's displacement, on a rectangular grid whose last axis is vertical.
+        sides: Names of vertical sides; see `prescribed`.
+        column: The ground beside the sides.
+
+    Returns:
+        Conditions for `Newmark`, `GeneralisedAlpha` and `Explicit`.
 
     Raises:
-        ParameterError: A condition constrains all nodes of a face in a direction of its damping.
-            Or two faces are at one side.
+        ParameterError: A side is unknown or not vertical, or the column has another dimension.
+        UnsupportedGridError: The grid is not rectangular, or the space is refined.
+
+    A wall beside ground at rest: what swings in it leaves through the side.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> law = mpm.materials.Hencky(2.0, 0.0)
+    >>> def ground(width, velocity, sides):
+    ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(8), range(5)])
+    ...     points = mpm.fill(grid, mpm.Box((3, 0), (3 + width, 4)), per_cell=2, density=1.0)
+    ...     V = mpm.Space(grid, "gimp")
+    ...     F = mpm.momentum(law, points, V.increment, V.test)
+    ...     points.add_field("velocity", (2,), "m/s")
+    ...     points["velocity"] = (velocity, 0.0)
+    ...     bcs, options = sides(V)
+    ...     return mpm.Newmark(F, V.increment, points, mpm.fixed(V, "bottom") + bcs, **options)
+    >>> tied = ground(1, 0.0, lambda V: ([], {"prolongation": mpm.tied(V, period=1.0)}))
+    >>> column = mpm.GroundColumn(tied, 4.0, dt=0.5)
+    >>> body = ground(2, 1e-3, lambda V: (mpm.free_field(V, "left", "right", column=column), {}))
+    >>> first = body.energies().kinetic
+    >>> for t in mpm.times(4.0, dt=0.5):
+    ...     record = body.step(t)
+    >>> now = body.energies()
+    >>> now.kinetic + now.strain < 0.1 * first
+    True
     """
-
-    def __init__(
-        self, faces: Sequence[Face], points: MaterialPoints, conditions: Sequence[Condition] = ()
-    ):
-        for k, face in enumerate(faces):
-            others = {other.kind for other in faces[:k] if face.same_as(other)}
-            if others:
-                where = "twice" if face.kind in others else f"beside the {others.pop()} one"
-                raise ParameterError(
-                    f"the {face.kind} face at '{face.where}' is there {where}, and both would "
-                    "act: leave one out"
-                )
-            for condition in conditions:
-                _refuse_held(face, condition)
-            _refuse_stuck(face, conditions)
-        self._faces, self._d, self._axisymmetric = list(faces), points.gdim, points.axisymmetric
-        self._box: Array = np.zeros((2, points.gdim))
-        if _beside(faces):
-            self._box = _ends(points)
-        # a basis belongs to one partition of the lattice
-        self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
-
-    def __len__(self):
-        return len(self._faces)
-
-    @property
-    def rubbing(self) -> bool:
-        """Whether bodies touch and leave a face, and rub along it."""
-        return any(face.friction is not None for face in self._faces)
-
-    @property
-    def incoming(self) -> bool:
-        """Whether waves come in through a face."""
-        return any(face.incoming is not None for face in self._faces) or _beside(self._faces)
-
-    def regrid(self) -> None:
-        """Discard areas that depend on the old grid lines."""
-        self._on.clear()
-
-    def on(self, basis: Any, t: float | None = None) -> Faces | None:
-        """The faces in a basis's numbering, or None without faces. The first call is collective.
-
-        Args:
-            basis: The basis.
-            t: Start of a step (s), or None within a step.
-        """
-        if not self._faces:
-            return None
-        if basis not in self._on:
-            own = self._d, self._axisymmetric, self._box
-            self._on[basis] = Faces(self._faces, basis, *own)
-        if t is not None:
-            self._on[basis].follow(t)
-        return self._on[basis]
-
-
-def _ends(points: MaterialPoints) -> Array:
-    """Ends of a body (m), shape (2, d). Collective.
-
-    Raises:
-        ParameterError: The points are axisymmetric.
-    """
-    if points.axisymmetric:
-        raise ParameterError("free-field sides are for plane strain and 3D, not axisymmetry")
-    x, half = points["x"], points["l"]
-    ends = np.array([-(x - half), x + half]).max(axis=1, initial=-np.inf)
-    points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
-    ends[0] *= -1.0
-    return ends
+    check_sides(space, sides)
+    require_lattice(space.grid, "free_field")
+    refuse_leaves(space, "free-field")
+    check_kind("column", column, GroundColumn, "make it with mpm.GroundColumn(problem, end, dt=)")
+    d = space.grid.geometry.dim
+    if column.gdim != d:
+        raise ParameterError(
+            f"column = {column!r} is of {column.gdim} dimensions, and the body of {d}: make the "
+            "column on a grid of the same dimension"
+        )
+    level = [side for side in sides if side_of(side, d)[1] == d - 1]
+    if level or d == 1:
+        raise ParameterError(
+            f"the side {(level or sides)[0]!r} is not vertical: a free field is beside the body; "
+            "below it take mpm.absorbing"
+        )
+    return [face_at(space, side, column=column) for side in sides]

@@ -1,25 +1,145 @@
-"""Faces of the grid in the numbering of a basis: friction, dashpots and waves at nodes."""
+"""Faces of the grid in the numbering of a basis: friction, dashpots and waves at nodes.
+
+Beyond an absorbing side the ground goes on as an elastic half-space. An upward wave in it with the
+velocity v_up pushes the side, so that the traction of the dashpots becomes ρ c (2 v_up − v)
+(Lysmer & Kuhlemeyer 1969; Joyner & Chen 1975, Bull. Seism. Soc. Am. 65, 1315).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import weakref
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
-from dolfinmpm.basis import LeafBasis
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis import LatticeBasis, LeafBasis
+from dolfinmpm.basis.bspline import integrals, middles
+from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import ring
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.cut.leafconditions import nodes_at_side
-from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
-from dolfinmpm.dynamics.incomingwaves import IncomingWaves
+from dolfinmpm.dynamics.groundcolumn import ColumnAtSide, integrals_within
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks
-from dolfinmpm.dynamics.sideareas import areas, radii
+from dolfinmpm.grid.userfunctions import VelocityByTime
+from dolfinmpm.solve.step import Step
 
-__all__ = ["Faces"]
+__all__ = ["Faces", "Sides", "has_columns"]
 
 Array = npt.NDArray[np.float64]
+Nodes = npt.NDArray[np.intp]
+
+
+def has_columns(faces: Sequence[Any]) -> bool:
+    """Whether a column of ground is beside one of some faces."""
+    return any(face.column is not None for face in faces)
+
+
+def _refuse_idle(face: Any, conditions: Sequence[Condition]) -> None:
+    """Raise ParameterError if conditions hold all that a face would act on. Collective."""
+    constrained: dict[int, str] = {}
+    for condition in conditions:
+        if condition.space is face.space:
+            free = bool(np.setdiff1d(face.nodes, condition.nodes).size)
+            if not face.space.grid.comm.allreduce(free, op=MPI.LOR):
+                constrained.setdefault(condition.component, condition.where)
+    for component, where in constrained.items():
+        if face.damps(component):
+            raise ParameterError(
+                f"the absorbing face at '{face.where}' damps velocities in the direction "
+                f"{component}, and the condition at '{where}' holds them there, so that it would "
+                "do nothing: leave out one of both"
+            )
+    if face.friction and constrained.keys() >= set(range(face.space.components)) - {face.axis}:
+        raise ParameterError(
+            f"the frictional face at '{face.where}' rubs against what slides along it, and "
+            "conditions hold the nodes there, so that it would do nothing: leave out one of both"
+        )
+
+
+class Sides:
+    """Faces of the grid in any numbering of the nodes.
+
+    Args:
+        faces: The faces.
+        points: Material points on which the faces act.
+        conditions: Essential conditions of the problem.
+
+    Raises:
+        ParameterError: A condition constrains all nodes of a face in a direction of its damping.
+            Or two faces are at one side.
+    """
+
+    def __init__(
+        self, faces: Sequence[Any], points: MaterialPoints, conditions: Sequence[Condition] = ()
+    ):
+        for k, face in enumerate(faces):
+            others = {other.kind for other in faces[:k] if face.same_as(other)}
+            if others:
+                where = "twice" if face.kind in others else f"beside the {others.pop()} one"
+                raise ParameterError(
+                    f"the {face.kind} face at '{face.where}' is there {where}, and both would "
+                    "act: leave one out"
+                )
+            _refuse_idle(face, conditions)
+        self._faces, self._d, self._axisymmetric = list(faces), points.gdim, points.axisymmetric
+        self._box: Array = np.zeros((2, points.gdim))
+        if has_columns(faces):
+            self._box = _ends(points)
+        # a basis belongs to one partition of the lattice
+        self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
+
+    def __len__(self):
+        return len(self._faces)
+
+    @property
+    def frictional(self) -> bool:
+        """Whether bodies touch and leave a face, and rub along it."""
+        return any(face.friction is not None for face in self._faces)
+
+    @property
+    def incoming(self) -> bool:
+        """Whether waves come in through a face."""
+        return any(face.incoming is not None for face in self._faces) or has_columns(self._faces)
+
+    def regrid(self) -> None:
+        """Discard areas that depend on the old grid lines."""
+        self._on.clear()
+
+    def on(self, basis: Any, step: Step | None = None) -> Faces | None:
+        """The faces in a basis's numbering, or None without faces. The first call is collective.
+
+        Args:
+            basis: The basis.
+            step: A step that begins, or None within a step.
+        """
+        if not self._faces:
+            return None
+        if basis not in self._on:
+            own = self._d, self._axisymmetric, self._box
+            self._on[basis] = Faces(self._faces, basis, *own)
+        if step is not None:
+            self._on[basis].begin(step)
+        return self._on[basis]
+
+
+def _ends(points: MaterialPoints) -> Array:
+    """Ends of a body (m), shape (2, d). Collective.
+
+    Raises:
+        ParameterError: The points are axisymmetric.
+    """
+    if points.axisymmetric:
+        raise ParameterError("free-field sides are for plane strain and 3D, not axisymmetry")
+    x, half = points["x"], points["l"]
+    ends = np.array([-(x - half), x + half]).max(axis=1, initial=-np.inf)
+    points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+    ends[0] *= -1.0
+    return ends
 
 
 def _nodes(face: Any, basis: Any) -> npt.NDArray[np.intp]:
@@ -45,7 +165,6 @@ class Faces:
 
     Attributes:
         dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
-        waves: Waves that come in.
     """
 
     def __init__(
@@ -53,30 +172,30 @@ class Faces:
         box: Array | None = None,
     ):  # fmt: skip
         self._d, self._basis, self._axisymmetric = d, basis, axisymmetric
-        self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
-        self._absorbing: list[tuple[Any, npt.NDArray[np.intp]]] = []
+        self._frictional: list[tuple[Nodes, int, float, float]] = []
+        self._absorbing: list[tuple[Any, Nodes]] = []
         self.dashpots: Array | None = None
-        self.waves = IncomingWaves(basis.nodes.size, d)
+        # nodes, direction, dashpots and velocity of each wave
+        self._waves: list[tuple[Nodes, int, Array, VelocityByTime]] = []
         self._columns: list[tuple[int, int, ColumnAtSide]] = []
         for face in faces:
             nodes = _nodes(face, basis)
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
-                self._rubbing.append((nodes, face.axis, outward, face.friction))
+                self._frictional.append((nodes, face.axis, outward, face.friction))
             if face.impedance is not None:
                 self._absorbing.append((face, nodes))
             if face.column is not None:
                 assert box is not None
                 column = ColumnAtSide(face.column, basis, face.axis, face.end, box)
                 self._columns.append((face.axis, face.end, column))
-        self.waves.beside = [column for _, _, column in self._columns]
         self._damp({})
 
     def _damp(self, within: dict[int, tuple[float, float]]) -> None:
         """Compute dashpots and waves of absorbing faces; see `areas` for the argument."""
         if self._absorbing or self._columns:
             self.dashpots = np.zeros((self._basis.nodes.size, self._d))
-        self.waves.clear()
+        self._waves.clear()
         for face, nodes in self._absorbing:
             area = areas(self._basis, nodes, face.axis, within)
             if self._axisymmetric:
@@ -86,13 +205,31 @@ class Faces:
                 assert self.dashpots is not None
                 self.dashpots[nodes, k] += rate * area
                 if face.incoming is not None and face.incoming[k] is not None:
-                    self.waves.add(nodes, k, rate * area, face.incoming[k])
+                    self._waves.append((nodes, k, rate * area, face.incoming[k]))
 
-    def follow(self, t: float) -> None:
-        """Move the sides beside columns of ground to where these are at a time (s).
+    @property
+    def incoming(self) -> bool:
+        """Whether waves come in, or columns of ground push."""
+        return bool(self._waves or self._columns)
+
+    def wave_forces(self, t: float) -> Array:
+        """Forces 2 c v_up of the waves, and of columns, at time t (N), shape (nodes, d)."""
+        out = np.zeros((self._basis.nodes.size, self._d))
+        for nodes, k, c, wave in self._waves:
+            out[nodes, k] += 2.0 * c * wave(t)
+        for _, _, column in self._columns:
+            nodes, pushes = column.forces(t)
+            out[nodes] += pushes
+        return out
+
+    def begin(self, step: Step) -> None:
+        """Begin a step: check what it misses of waves, and move sides beside columns of ground.
 
         Other sides then end where the ground beside them begins.
         """
+        start = step.start
+        for _, _, _, wave in self._waves:
+            wave.check_step(start, step.t)
         if not self._columns:
             return
         within = {}
@@ -101,12 +238,12 @@ class Faces:
             ends = [float(line[0]), float(line[-1])]
             for k, end, column in self._columns:
                 if k == axis:
-                    ends[end] = column.edge(t)
+                    ends[end] = column.edge(start)
             within[axis] = ends[0], ends[1]
         self._damp(within)
         assert self.dashpots is not None
         for _, _, column in self._columns:
-            nodes, rates = column.place(t)
+            nodes, rates = column.place(start)
             self.dashpots[nodes] += rates
 
     def by_nodes(
@@ -124,17 +261,17 @@ class Faces:
             dashpots (N s/m), shape (size, d), or (0, d) without dashpots. Room for the momentum
             that frictional faces take in a step (kg m/s), likewise.
         """
-        marks = np.zeros(size if self._rubbing else 0, np.uint64)
-        rubbing = np.array([one[1:] for one in self._rubbing]).reshape(-1, 3)
-        for k, (nodes, *_) in enumerate(self._rubbing):
+        marks = np.zeros(size if self._frictional else 0, np.uint64)
+        friction = np.array([one[1:] for one in self._frictional]).reshape(-1, 3)
+        for k, (nodes, *_) in enumerate(self._frictional):
             rows = place[nodes]
             marks[rows[rows >= 0]] |= np.uint64(1 << k)
         dashpots = np.zeros((0 if self.dashpots is None else size, self._d))
         if self.dashpots is not None:
             dashpots[place[place >= 0]] = self.dashpots[place >= 0]
-        return marks, rubbing, dashpots, np.zeros((marks.size, self._d))
+        return marks, friction, dashpots, np.zeros((marks.size, self._d))
 
-    def rub(self, V: Array, kinks: Kinks | None = None) -> None:
+    def apply_friction(self, V: Array, kinks: Kinks | None = None) -> None:
         """Stop nodes that would move out, and apply friction to sliding nodes.
 
         Args:
@@ -142,7 +279,7 @@ class Faces:
             kinks: Where the nodes that touch and slip are kept, or None.
         """
         speed = 0.0 if kinks is None else float(np.abs(V).max(initial=0.0))
-        for rows, axis, outward, mu in self._rubbing:
+        for rows, axis, outward, mu in self._frictional:
             out = outward * V[rows, axis]
             rows, out = rows[out > 0], out[out > 0]
             V[rows, axis] = 0.0
@@ -154,7 +291,7 @@ class Faces:
             for k in along:
                 V[rows, k] *= left
 
-    def settle(self, taken: Array, mapped: Array, kinks: Kinks | None = None) -> None:
+    def constrain_stopped(self, taken: Array, mapped: Array, kinks: Kinks | None = None) -> None:
         """Hold nodes that the faces have stopped.
 
         Points around a stopped node move, and map a velocity to it. A body that strained by this
@@ -162,12 +299,13 @@ class Faces:
         holds by no more than the impulse that it has given, and friction by what it has left.
 
         Args:
-            taken: What `rub` has taken from the velocities of the nodes (m/s), shape (nodes, d).
+            taken: What `apply_friction` has taken from the velocities of the nodes (m/s), shape
+                (nodes, d).
             mapped: Velocities of the points, mapped to the nodes (m/s), likewise. Changed.
-            kinks: See `rub`.
+            kinks: See `apply_friction`.
         """
         speed = 0.0 if kinks is None else float(np.abs(mapped).max(initial=0.0))
-        for rows, axis, outward, mu in self._rubbing:
+        for rows, axis, outward, mu in self._frictional:
             out = outward * taken[rows, axis]
             rows, out = rows[out > 0], out[out > 0]
             normal = mapped[rows, axis]
@@ -180,3 +318,43 @@ class Faces:
             left = np.maximum(0.0, 1.0 - grip / np.maximum(size, 1e-300))
             for k in along:
                 mapped[rows, k] *= left
+
+
+def radii(basis: LatticeBasis, nodes: npt.NDArray[np.intp], axis: int, end: int) -> Array:
+    """Radii of the centroids of the nodes' functions on a side (m), of an axisymmetric grid.
+
+    Args:
+        basis: The basis.
+        nodes: Nodes on the side, shape (n,).
+        axis, end: Direction of the side's normal, and 0 for the lower or 1 for the upper end.
+    """
+    line = basis.lattice.lines[0]
+    if axis == 0:
+        return np.full(nodes.size, line[-1 if end else 0])
+    return middles(line, basis.degree)[basis.halo.node_ijk[nodes, 0]]
+
+
+def areas(
+    basis: LatticeBasis,
+    nodes: npt.NDArray[np.intp],
+    axis: int,
+    within: Mapping[int, tuple[float, float]] | None = None,
+) -> Array:
+    """Integrals of the nodes' functions over a side (m^(d-1)).
+
+    Args:
+        basis: The basis.
+        nodes: Nodes on the side, shape (n,).
+        axis: Direction of the side's normal.
+        within: Ends of the part of the side that counts (m), by direction; else the whole side.
+    """
+    area = np.ones(nodes.size)
+    for k, line in enumerate(basis.lattice.lines):
+        if k == axis:
+            continue
+        if within and k in within:
+            whole = integrals_within(line, basis.degree, *within[k])
+        else:
+            whole = integrals(line, basis.degree)
+        area *= whole[basis.halo.node_ijk[nodes, k]]
+    return area

@@ -1,8 +1,8 @@
-"""Forms supported by the fused loops, and their data for the loops."""
+"""Problems that the fused loops support, and their loads for the loops."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from typing import Any
 
 import numpy as np
@@ -12,24 +12,18 @@ from ufl.algorithms import extract_arguments
 from ufl.constantvalue import Zero
 
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.body.points import MOTION, MaterialPoints
-from dolfinmpm.cut.essentialconditions import EssentialConditions
-from dolfinmpm.dynamics.fusedneohookean import stored_energy
-from dolfinmpm.dynamics.fusedumat import UmatCalls, variables_of
+from dolfinmpm.dynamics.explicitbase import Settings
+from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
-from dolfinmpm.dynamics.settings import Settings
-from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.dynamics.passes import NEO
+from dolfinmpm.dynamics.pointarrays import formulation_of
 from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.kinematics.fbar import VOLUMES
-from dolfinmpm.kinematics.incremental import Incremental
-from dolfinmpm.materials.base import lame
-from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["FusedLoads", "Laws", "why_not"]
+__all__ = ["FusedLoads", "why_not"]
 
 Array = npt.NDArray[np.float64]
 # Fields that a step changes: a load that depends on them is evaluated in every step
@@ -38,45 +32,41 @@ _FIXED = ("density", "V0", "x0", "l0")
 _OF_LOADS = frozenset((*_FIXED, "tag"))
 
 
-def why_not(
-    form: WeakForm,
-    field: Any,
-    mass: str,
-    settings: Settings,
-    held: EssentialConditions,
-    options: dict[str, Any],
-) -> str | None:
+def why_not(problem: Any, settings: Settings, sides: Sides, options: dict[str, Any]) -> str | None:
     """Reason why the fused loops do not support a problem, or None.
 
     Args:
-        form: The weak form.
-        field: Its field.
-        mass: Kind of the mass.
+        problem: The problem.
         settings: Settings of the steps.
-        held: Essential conditions.
+        sides: Sides of the grid that act on the body.
         options: Other arguments of the problem.
     """
+    field = problem.fields[0]
     if not isinstance(field.space.basis, LatticeBasis):
         return "the grid is not rectangular"
     if field.space.refinement is not None:
         return "the space is refined"
-    if mass != "lumped":
+    if problem.terms.kind != "lumped":
         return "the mass is consistent"
     if not settings.plain:
         return "bulk viscosity or filters of light nodes act"
-    if held.follows:
+    if problem.held.follows:
         return "a condition follows the body (follows=True)"
     tied = field.stabilisation.constrains_nodes or options.get("prolongation")
     if tied or options.get("updates"):
         return "constraints act between nodes, or a step updates fields"
     if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):
         return "the mapping filters velocities at the nodes"
-    reason = _why_not_the_form(form)
+    reason = _why_not_the_form(problem.form)
     if reason is not None:
         return reason
-    loads = FusedLoads(form)
+    loads = FusedLoads(problem.form)
     if not loads.known or loads.varies:
         return "loads depend on functions of the grid, or on fields that a step changes"
+    if sides.incoming:
+        return "waves come in through a side"
+    if sides.frictional and settings.scheme == "usf":
+        return 'frictional sides with scheme="usf"'
     return None
 
 
@@ -94,7 +84,7 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         return "the field has coarser cells than the grid"
     if any(one is not None for one in form.parts.grid.external):
         return "loads over cells or facets of the grid"
-    kinds = {_kind(d) for d in declarations}
+    kinds = {formulation_of(d) for d in declarations}
     if len(kinds) != 1 or None in kinds:
         return "laws have several strain formulations, or an unsupported one"
     published = [d for d in declarations if isinstance(d.law, UMAT)]
@@ -108,7 +98,7 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         return "the points keep the mean volumes of F-bar"
     if any(d.u is not space.increment for d in declarations):
         return "a law has another increment"
-    if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
+    if formulation_of(declarations[0]) == NEO and any(d.law.varies for d in declarations):
         return "the parameters of a neo-Hookean law vary"
     if form.boundaries:
         return "terms over boundaries that do not fit the grid"
@@ -129,162 +119,6 @@ def _why_not_the_form(form: WeakForm) -> str | None:
             if len(extract_arguments(term)) != 1:
                 return "terms without a test function"
     return None
-
-
-def _kind(declaration: Declaration) -> int | None:
-    if isinstance(declaration.law, NeoHookean):
-        return NEO
-    return {"large": LAW, "small": SMALL, "jaumann": JAUMANN}.get(declaration.strain)
-
-
-class Laws:
-    """The laws of a form in the layout of the fused loops.
-
-    Args:
-        points: Material points.
-        declarations: Declarations of laws in the form.
-
-    Attributes:
-        kind: Kind of the strain formulation, see `dolfinmpm.dynamics.passes`.
-        state: Name of the field of elastic strain; empty if the law uses F.
-        fbar: Whether points share changes of volume, or "centres"; see `Declaration`.
-        internal: Internal variables side by side, shape (n, variables).
-        table: Addresses of the laws, their parameters, whether parameters vary over points, and
-            the law of each point.
-        calls: Data of the calls of UMATs, or None for other laws.
-    """
-
-    table: tuple[Any, ...]
-    internal: Array
-    calls: UmatCalls | None = None
-
-    def __init__(self, points: MaterialPoints, declarations: Sequence[Declaration]):
-        self._points, self._declarations = points, list(declarations)
-        kind = _kind(self._declarations[0])
-        assert kind is not None
-        self.kind, self._stored = kind, 0.0
-        self._revision, self._marked = -1, False
-        # revision of the state that the known stored energy belongs to
-        self._stored_of: tuple[int, bytes] | None = None
-        self._published = isinstance(self._declarations[0].law, UMAT)
-        self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
-        if self._published:
-            self.state = Incremental.state
-        self.fbar = self._declarations[0].fbar
-
-    def gather(self, touched: Set[str]) -> None:
-        """Read the present parameters and internal variables of the points. Collective.
-
-        Args:
-            touched: Fields that may have changed since the last call, on any rank.
-        """
-        points, n = self._points, len(self._points)
-        laws = self._declarations
-        if self._revision == points.revision and touched <= MOTION:
-            self._gather_again()
-            return
-        self._revision, self._marked = points.revision, False
-        for d in laws:
-            d.bind()
-        addresses = np.zeros(len(laws), np.intp)
-        if self.kind == NEO:
-            numbers = np.array([lame(d.law.E, d.law.nu) for d in laws])
-        elif self._published:
-            addresses[:] = [d.law.address for d in laws]
-            numbers = _rows([d.law.properties for d in laws])
-            self.calls = UmatCalls.of(points, laws)
-        else:
-            addresses[:] = [d.law.stress_address for d in laws]
-            numbers = self._parameters()
-        which = np.zeros(1, np.uint8)
-        if len(laws) > 1:
-            which = np.zeros(n, np.uint8)
-            for k, d in enumerate(laws):
-                which[d.rows] = k
-        by_points = any(d.law.varies for d in laws)
-        self.table = addresses, numbers, by_points, which
-        names = [] if self.kind == NEO else [list(d.law.internal) for d in laws]
-        if self._published:
-            names = [variables_of(d) for d in laws]
-        width = max((len(own) for own in names), default=0)
-        self._names = names
-        if len(laws) == 1 and width == 1:
-            # a single variable of a single law already has the layout of the loop
-            self.internal = points[names[0][0]].reshape(-1, 1)
-            return
-        self.internal = np.zeros((n, width))
-        for d, own in zip(laws, names):
-            for k, name in enumerate(own):
-                self.internal[d.rows, k] = points[name][d.rows]
-
-    def _gather_again(self) -> None:
-        """Read data that may have changed without a change of the laws' fields."""
-        laws = self._declarations
-        if self.kind == NEO:
-            addresses, _, *others = self.table
-            numbers = np.array([lame(d.law.E, d.law.nu) for d in laws])
-            self.table = addresses, numbers, *others
-        elif len(laws) == 1 and len(self._names[0]) == 1:
-            self.internal = self._points[self._names[0][0]].reshape(-1, 1)
-
-    def release(self) -> None:
-        """Release references to the fields' arrays."""
-        if len(self._declarations) == 1 and self.internal.shape[1] == 1:
-            self.internal = np.empty((0, 1))
-
-    def scatter(self) -> None:
-        """Write the internal variables to the points' fields, and mark changed fields."""
-        if not self._marked:
-            marks = self._points.fields.read("moved_under")
-            for d in self._declarations:
-                marks[d.rows] = d.mark
-            self._marked = True
-        if len(self._declarations) == 1 and self.internal.shape[1] == 1:
-            return
-        for d, own in zip(self._declarations, self._names):
-            for k, name in enumerate(own):
-                self._points[name][d.rows] = self.internal[d.rows, k]
-
-    def gained(self) -> float:
-        """Energy stored by neo-Hookean points since the last call (J), on this rank."""
-        _, numbers, _, which = self.table
-        fields = self._points.fields
-        now = stored_energy(fields.read("F"), fields.read("V0"), numbers, which)
-        before, self._stored = self._stored, now
-        self._stored_of = self._points.revision, numbers.tobytes()
-        return now - before
-
-    def start(self, touched: Set[str]) -> None:
-        """Read the present state of the points and their stored energy. Collective.
-
-        Args:
-            touched: See `gather`.
-        """
-        self.gather(touched)
-        if self.kind == NEO:
-            now = self._points.revision, self.table[1].tobytes()
-            if self._stored_of != now or touched & {"F", "V0"}:
-                self.gained()
-
-    def _parameters(self) -> Array:
-        laws, n = self._declarations, len(self._points)
-        # kernels also need parameters derived from the declared ones
-        values = [d.parameters() for d in laws]
-        if not any(d.law.varies for d in laws):
-            return _rows([own[0] for own in values])
-        width = max(own.shape[1] for own in values)
-        numbers = np.zeros((n, width))
-        for d, own in zip(laws, values):
-            numbers[d.rows, : own.shape[1]] = own
-        return numbers
-
-
-def _rows(values: Sequence[Array]) -> Array:
-    """Rows of different lengths, with zeros behind the shorter ones."""
-    result = np.zeros((len(values), max(own.size for own in values)))
-    for row, own in zip(result, values):
-        row[: own.size] = own
-    return result
 
 
 class FusedLoads:

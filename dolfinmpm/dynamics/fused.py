@@ -19,20 +19,17 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.essentialconditions import EssentialConditions
-from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.fusable import FusedLoads, Laws
+from dolfinmpm.dynamics.energies import lateness
+from dolfinmpm.dynamics.explicitbase import ExplicitStep, Settings
+from dolfinmpm.dynamics.facesatnodes import Sides
+from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.fusedloop import kernel
-from dolfinmpm.dynamics.halfstep import lateness
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
-from dolfinmpm.dynamics.pointarrays import PointArrays
-from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.pointarrays import Laws, PointArrays
 from dolfinmpm.dynamics.window import MARGIN, Prescribed, Window, WindowMeans
-from dolfinmpm.solve.step import Step
 
 __all__ = ["FusedSteps"]
 
@@ -63,15 +60,9 @@ class FusedSteps:
     """The fused loops of a problem.
 
     Args:
-        points: Material points.
-        basis: Basis of the displacement, on a lattice.
-        held: Essential conditions.
-        laws: The laws of the form.
-        loads: Loads of the form.
-        settings: Settings of the steps, with "flip", "pic", "apic" or "tpic".
+        problem: The problem, for which `why_not` has no reason.
+        settings: Settings of the steps.
         sides: Sides of the grid that act on the body.
-        domains: Update rule of the points' domains.
-        rigid: Contacts with rigid bodies, or None.
 
     Attributes:
         done: Sums since the last call of `work`, in this order: work of the stresses (J), work of
@@ -88,25 +79,18 @@ class FusedSteps:
     _means: WindowMeans | None = None
     _arrays: PointArrays
 
-    def __init__(
-        self,
-        points: MaterialPoints,
-        basis: LatticeBasis,
-        held: EssentialConditions,
-        laws: Laws,
-        loads: FusedLoads,
-        settings: Settings,
-        sides: Sides,
-        domains: str = "stretch",
-        rigid: RigidContacts | None = None,
-    ):
-        self._rigid = rigid
-        self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
-        self._settings, self.sides = settings, sides
-        self._prescribed = Prescribed(held)
+    def __init__(self, problem: Any, settings: Settings, sides: Sides):
+        form, points, bodies = problem.form, problem.points, problem.bodies
+        self._points, self._settings, self.sides = points, settings, sides
+        space = problem.fields[0].space
+        self._basis: LatticeBasis = space.basis
+        self._laws = Laws(points, form.parts.declarations)
+        self._loads = FusedLoads(form)
+        self._rigid = RigidContacts(bodies, points) if bodies.contacts else None
+        self._prescribed = Prescribed(problem.held)
         self.done = np.zeros(9)
         self._rate, self._worth = 0.0, Worth()
-        self._growth = GROWTH[domains] if basis.averaged else 0
+        self._growth = GROWTH[space.domains] if space.basis.averaged else 0
         self._window: Any = None
 
     @property
@@ -123,7 +107,7 @@ class FusedSteps:
         self.done[:2] = self.done[3:] = 0.0
         if self._rigid is not None:
             external, self._rigid.work = external + self._rigid.work, 0.0
-        projected = self._settings.scaling * mapped
+        projected = self._settings.mass_scaling * mapped
         found = Work(external, internal, grid, projected, start, late=late)
         if self._rigid is not None:
             found.late, found.late_bodies = late + self._rigid.late[0], self._rigid.late[1]
@@ -166,7 +150,7 @@ class FusedSteps:
 
     @stages.evaluate
     def run(
-        self, count: int, dt: float, kick: float, more: bool, begin: Callable[[int], Step]
+        self, count: int, more: bool, begin: Callable[[int], ExplicitStep]
     ) -> tuple[int, int, str | None]:
         """Take equal steps; see `ExplicitBase.run`. Collective.
 
@@ -175,15 +159,15 @@ class FusedSteps:
         migrated, reason, taken = 0, None, 0
         *others, main = PASSES[self._settings.scheme]
         while taken < count and reason is None:
-            started, now = begin(taken).t - dt, dt if taken else kick
-            middle = started + 0.5 * dt
-            self._prescribed.drive(middle - now, middle)
+            step = begin(taken)
+            middle = step.start + 0.5 * step.dt
+            self._prescribed.drive(middle - step.kick, middle)
             fresh = not self._worth.live
             if fresh:
                 with stages.activate:
                     if self._window.basis.partition is not self._points.partition:
                         self._surround()
-                        self._prescribed.drive(middle - now, middle)
+                        self._prescribed.drive(middle - step.kick, middle)
                     self._prepare()
                 self._worth.live = True
             elif self._loads.changed():
@@ -194,15 +178,15 @@ class FusedSteps:
                 if fresh:
                     self._arrays.strain()
             if fresh:
-                reason = self._scatter(main, dt)
+                reason = self._scatter(main, step.dt)
             if self._laws.calls is not None:
-                self._laws.calls.moment[0] = started
+                self._laws.calls.moment[0] = step.start
             taken += 1
             last = taken == count
             # the sums of the last step of all would not be used
             ending = last and not more
             if reason is None:
-                reason = self._step(others, main, dt, now, last, not ending)
+                reason = self._step(others, main, step, last, not ending)
             way = self._reach()
             self._worth.travelled += way
             if reason is None and self._rigid is not None:
@@ -214,7 +198,7 @@ class FusedSteps:
                     self._arrays.publish()
                 self._laws.scatter()
                 with stages.migrate:
-                    migrated += self._window.cells.settle(self._points)
+                    migrated += self._window.cells.update(self._points)
                 self._worth.live = False
         self._worth.live = self._worth.live and reason is None
         self._window.cells.steps += taken
@@ -271,7 +255,7 @@ class FusedSteps:
                 rows = skipped[0]
             if bad < 0 and left:
                 bad, *_ = self._loop(parts, dt, switches, rows[:left].copy(), True, means)
-        return self._together(bad)
+        return self._failure_of(bad)
 
     def _loop(
         self, parts: Pass, dt: float, switches: Switches, rows, general: bool, means: int = 0
@@ -295,7 +279,7 @@ class FusedSteps:
             arrays.skipped, self.done,
         )  # fmt: skip
 
-    def _together(self, bad: int) -> str | None:
+    def _failure_of(self, bad: int) -> str | None:
         points = self._points
         found = None
         if bad >= 0:
@@ -321,42 +305,43 @@ class FusedSteps:
         return reason
 
     def _step(
-        self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
+        self, others, main: Pass, step: ExplicitStep, record: bool, scatter: bool
     ) -> str | None:
         """Take one step from the nodal sums. Collective."""
         before = self.done.copy()
-        reason = self._passes(others, main, dt, kick, record, scatter)
+        reason = self._passes(others, main, step, record, scatter)
         if record:
             _, external, _, grid, damped, rubbed, internal, _, _ = self.done - before
             late = self._settings.scheme == "usf"
             self.done[6] = lateness(external - damped - rubbed, internal, grid, late)
-            if kick != dt:
-                self._points["acceleration"] *= dt / kick
+            if step.kick != step.dt:
+                self._points["acceleration"] *= step.dt / step.kick
         return reason
 
     def _passes(
-        self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
+        self, others, main: Pass, step: ExplicitStep, record: bool, scatter: bool
     ) -> str | None:
         """Run the passes of a step, and update the nodes between them. Collective."""
-        switches = Switches(record, scatter=scatter)
+        switches, dt, kick = Switches(record, scatter=scatter), step.dt, step.kick
         window, prescribed, settings = self._window, self._prescribed, self._settings
         d = self._points.gdim
         columns, box = COLUMNS[d], window.rows()
         out, nodes, fixed, before = window.out, window.nodes, prescribed.fixed, prescribed.before
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
         weight = (
-            window.sides, window.own, self._loads.gravity, dt, kick, settings.scaling, self.done
+            window.sides, window.own, self._loads.gravity, dt, kick, settings.mass_scaling,
+            self.done,
         )  # fmt: skip
         rigid = self._rigid
         if rigid is not None:
-            rigid.begin(dt, kick, usf)
+            rigid.begin(step, usf)
         # only forces make the points' acceleration, not prescribed motions of nodes
         apart = record and (prescribed.driven or len(self.sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
             divide(box, columns, out, 0, nodes, fixed, before, *weight, False)
             # strains before the forces follow the last motion of the points
-            reason = self._pass(others[0], 2.0 * kick - dt, switches)
+            reason = self._pass(others[0], step.before, switches)
             window.add_up(columns.force, columns.force + d)
             if reason is not None:
                 return reason
@@ -364,8 +349,8 @@ class FusedSteps:
             rigid.press(out, usf)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
-            pushed, self._loads.gravity, dt, kick, settings.scaling, settings.damping, usf,
-            usf or usl, self.done,
+            pushed, self._loads.gravity, dt, kick, step.begins, settings.mass_scaling,
+            settings.damping, usf, usf or usl, self.done,
         )  # fmt: skip
         changes = window.at_points(pushed, self._points) if apart else None
         if not (usf or usl):

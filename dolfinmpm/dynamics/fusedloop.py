@@ -98,7 +98,7 @@ def kernel(
     column = 0 if velocity else second
     # in two dimensions changes of velocity are in the vector of velocities, and masses in none
     change = force if velocity and d == 3 else 0
-    beside = mass if d == 2 else 0
+    mass_apart = mass if d == 2 else 0
     # compiled functions among the closed-over values would keep the loop out of Numba's cache
     usual = middle_count(degree, averaged)
     # whether the grid's edge may cut domains, which couples the directions' moments
@@ -190,8 +190,8 @@ def kernel(
                         cell += centre_cell(lines, i, n, degree, x, cell_step)
                     else:
                         shares_of(
-                            d, general, lines, uniform, degree, per_length, x, reach, i, n, S, dS,
-                            L, room, part, slope,
+                            d, general, lines, uniform, degree, per_length, x, reach, i, n, dS, L,
+                            room, part, slope,
                         )  # fmt: skip
                     if taken:
                         take(d, F, p, f)
@@ -212,7 +212,7 @@ def kernel(
                         if affine or share < 1.0:
                             both = pushed + mapped
                             if not strain:
-                                # strains follow the new velocities, see `halfstep.mapping_loss`
+                                # strains follow the new velocities, see `energies.mapping_loss`
                                 both -= dv[k]
                             projected += mp * (pushed - mapped) * both
                         v[p, k] = v_new[k] if affine else mapped
@@ -387,7 +387,7 @@ def kernel(
                     affine_columns(d, apic, cut, mp, C, p, i, n, S, x, places, K)
                 scatter(
                     d, out_at + dot(d, i, step), step, i, n, S, dS, x, places, True, new == 2,
-                    affine > 0, beside, force, mp, momentum_vector(d, mp, v[p], mp), K,
+                    affine > 0, mass_apart, force, mp, momentum_vector(d, mp, v[p], mp), K,
                     force_vector(d, 1.0, g), T,
                 )  # fmt: skip
         done[0] += 0.5 * dt * work

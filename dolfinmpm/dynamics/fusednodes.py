@@ -170,14 +170,15 @@ def gather(
 
 @numba.njit(**INLINE)
 def scatter(
-    d, at, step, i, n, S, dS, x, places, momenta, forces, affine, beside, force, mass, P, K, G, T
+    d, at, step, i, n, S, dS, x, places, momenta, forces, affine, mass_apart, force, mass, P, K, G,
+    T,
 ):  # fmt: skip
     """Add what a point has to the sums at its nodes.
 
     Args:
         d, at, step, i, n, S, dS, x, places: See above.
         momenta, forces, affine: Whether P, G and T, and K count.
-        beside: Bytes to a mass that has no place in the vectors, or 0 without one.
+        mass_apart: Bytes to a mass that has no place in the vectors, or 0 without one.
         force: Bytes to forces that stand in a vector of their own.
         mass: The point's mass (kg).
         P, K: Momentum (kg m/s), and its slopes by direction (kg/s).
@@ -223,8 +224,8 @@ def scatter(
                 if d == 3 and forces:
                     Z = axpy(S[line, c], R, load(node + force))
                     put(node + force, axpy(dS[line, c], Q, Z))
-                if beside:
-                    add_at(node + beside, S[line, c] * (w * mass))
+                if mass_apart:
+                    add_at(node + mass_apart, S[line, c] * (w * mass))
 
 
 # -- moments of the functions, which affine velocities are divided by -----------
@@ -322,7 +323,7 @@ def centre_cell(lines, i, n, degree, x, step):
 
 @numba.njit(**INLINE)
 def shares_of(
-    d, general, lines, uniform, degree, per_length, x, half, i, n, S, dS, L, room, part, slope
+    d, general, lines, uniform, degree, per_length, x, half, i, n, dS, L, room, part, slope
 ):  # fmt: skip
     """Write a point's shares in cells, or in splines one degree lower, per direction."""
     if general:

@@ -12,7 +12,6 @@ them, too. Otherwise contact would make or lose energy.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,22 +27,24 @@ from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.boundarywork import boundary_forces, works_of_boundaries
-from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
-from dolfinmpm.dynamics.energies import stress_volumes
-from dolfinmpm.dynamics.explicitbase import ExplicitBase
-from dolfinmpm.dynamics.faces import Faces, set_velocities
-from dolfinmpm.dynamics.halfstep import lateness, lateness_by_contact, mapping_loss
+from dolfinmpm.dynamics.clock import velocities_at
+from dolfinmpm.dynamics.energies import lateness, lateness_by_contact, mapping_loss, stress_volumes
+from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep
+from dolfinmpm.dynamics.facesatnodes import Faces
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
-from dolfinmpm.dynamics.smallmass import viscous_pressure
-from dolfinmpm.dynamics.stepwork import energy_of_start, work_at_nodes, work_of_friction
+from dolfinmpm.dynamics.smallmass import BulkViscosity
+from dolfinmpm.dynamics.stepwork import (
+    energy_of_start,
+    work_at_nodes,
+    work_of_friction,
+)
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.step import Step
 
 __all__ = ["GeneralSteps"]
 
@@ -61,11 +62,20 @@ class GeneralSteps(ExplicitBase):
         return {}
 
     @cached_property
+    def viscosity(self) -> BulkViscosity | None:
+        """Bulk viscosity, or None without it."""
+        problem, coefficients = self._problem, self._settings.viscosity
+        if coefficients == (0.0, 0.0):
+            return None
+        declarations = problem.form.parts.declarations
+        return BulkViscosity(problem.points, problem.fields[0].space, declarations, coefficients)
+
+    @cached_property
     def _by_stress(self) -> bool:
         """Whether the points' stress gives all internal forces except those of boundaries."""
         return only_momentum(self._problem.form, boundaries=False)
 
-    def held(self) -> Stiffness:
+    def boundary_stiffness(self) -> Stiffness:
         """Stiffness added by boundaries in the last step. Collective."""
         problem = self._problem
         if not problem.form.boundaries:
@@ -74,7 +84,7 @@ class GeneralSteps(ExplicitBase):
             self._stiffness = weighed(problem.form, problem.activate())[1]
         return self._stiffness
 
-    def _activated(self, step: Step) -> Activation:
+    def _activated(self, step: ExplicitStep) -> Activation:
         """The activation of a step. Collective."""
         problem = self._problem
         raise_together(problem.points.comm, problem.points.fault())
@@ -86,49 +96,46 @@ class GeneralSteps(ExplicitBase):
         return here
 
     @stages.commit
-    def _take(self, step: Step, kick: float) -> int | str:
+    def _take(self, step: ExplicitStep) -> int | str:
         """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
         here = self._activated(step)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()
-        mass = Mass(problem.terms, here, settings.scaling)
-        held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        momenta = self._momenta(mass, field, x_node)
-        before = self._before(step, kick, held, field.basis)
-        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
-        V = mass.velocities(momenta, before, fastest).arrays[0]
+        mass = Mass(problem.terms, here, settings.mass_scaling)
+        prescribed: Array = np.asarray(here.prescribed[0] / dt, np.float64)
+        V = self._velocities(mass, self._momenta(mass, field, x_node), here, step)
         operator = Operator(problem.form, here)
         if self.kinks is not None:
             self.kinks.begin_step(field.basis)
         problem.bodies.put(0.0)
-        V_strain, strained = self._before_forces(operator, mass, V, (dt, kick))
+        V_strain, strained = self._before_forces(operator, mass, V, step)
         predicted = strained * V_strain if settings.scheme == "usf" else None
         at_start = boundary_forces(operator)
-        held_by = self._held_by(operator, at_start, predicted)
+        by_boundaries = self._of_boundaries(operator, at_start, predicted)
         forces = self._forces(operator, mass, s, predicted)
         if isinstance(forces, str):
             return forces
-        if held_by is not None:
-            forces.arrays[0][:] -= held_by
+        if by_boundaries is not None:
+            forces.arrays[0][:] -= by_boundaries
         self._watch(operator, False)
-        problem.bodies.push(problem.bodies.acting(operator), kick)
+        problem.bodies.push(problem.bodies.acting(operator), step.kick)
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end, stopped = self._end((V, A), mass, here, held, kick, step.t - dt)
+        V_end, stopped = self._end((V, A), mass, here, prescribed, step)
         new = self._to_points(operator, field, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_move = V_end
         if settings.scheme == "musl":
-            V_move = mass.solve(self._momenta(mass, field, x_node, new), held).arrays[0]
+            V_move = mass.solve(self._momenta(mass, field, x_node, new), prescribed).arrays[0]
             if stopped is not None:
-                self._settle(here, stopped, V_move)
+                self._constrain_stopped(here, stopped, V_move)
         V_strain = V_strain if settings.scheme == "usf" else V_move
         moved = points["x"] + dt * collect(s, V_move)
         operator.set_increments([strained * V_strain])
-        if held_by is not None and settings.clock is not None:
+        if by_boundaries is not None and settings.clock is not None:
             # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
         problem.bodies.put(1.0)
@@ -136,15 +143,17 @@ class GeneralSteps(ExplicitBase):
         if isinstance(state, str):
             return state
         self._watch(operator, True)
-        self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), dt, kick)
-        self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, kick)
+        self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), step)
+        self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, step.kick)
         self._work.add_stresses(points, state.fields, operator)
-        self._work.start += energy_of_start(mass, forces, V_end - V, here, dt, kick)
-        self._count(mass, V, V_end, dt)
+        if step.begins:
+            self._work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
+        self._add_losses(mass, V, V_end, dt)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
-        held_work, late_work = works_of_boundaries(operator, at_start, state)
+        boundary_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
-        self._work.external += held_work + problem.bodies.commit(problem.bodies.acting(operator))
+        of_bodies = problem.bodies.commit(problem.bodies.acting(operator))
+        self._work.external += boundary_work + of_bodies
         return commit(points, state)
 
     def _watch(self, operator: Operator, ends: bool) -> None:
@@ -170,17 +179,17 @@ class GeneralSteps(ExplicitBase):
             gradient = operator.points.gradient[0] / dt
         return mapping.to_points(points, field, x_node, motion, mass, dt, 1.0, gradient)
 
-    def _find_lateness(self, operator: Operator, net: float, grid: float, held: float) -> None:
+    def _find_lateness(self, operator: Operator, net: float, grid: float, late: float) -> None:
         """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
 
         Args:
             operator: The step's equations, at the end of the step.
             net, grid: Sums of `Work` before the step (J).
-            held: Work of the boundaries' forces at the end of the step (J).
+            late: Work of the boundaries' forces at the end of the step (J).
         """
         work, bodies = self._work, self._problem.bodies
-        late = self._settings.scheme == "usf"
-        work.late = lateness(work.net - net, work.latest - held, work.grid - grid, late)
+        stress_is_late = self._settings.scheme == "usf"
+        work.late = lateness(work.net - net, work.latest - late, work.grid - grid, stress_is_late)
         if bodies.contacts:
             acting, comm = bodies.acting(operator), self._problem.comm
             more, work.late_bodies = lateness_by_contact(bodies, acting, comm)
@@ -195,33 +204,27 @@ class GeneralSteps(ExplicitBase):
             change: Changes of velocity of the nodes at the points (m/s), shape (points, d).
         """
         points, settings = self._problem.points, self._settings
-        m = settings.scaling * point_masses(points)
+        m = settings.mass_scaling * point_masses(points)
         filtered = settings.scheme != "usl"
         own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         return mass.comm.allreduce(own, op=MPI.SUM)
+
+    def _velocities(
+        self, mass: Mass, momenta: Nodal, here: Activation, step: ExplicitStep
+    ) -> Array:
+        """Velocities of the nodes at the start of a step (m/s), shape (nodes, d). Collective."""
+        last, dt = step.t - 0.5 * step.dt - step.kick, step.dt
+        (before,) = velocities_at(self._problem, here, step, lambda v: v(last) * dt / step.share)
+        fastest = float(np.abs(self._problem.points["velocity"]).max(initial=0.0))
+        return mass.velocities(momenta, before, fastest).arrays[0]
 
     @stages.assemble
     def _momenta(self, mass: Mass, field: ActiveField, x_node: Array, new=None) -> Nodal:
         """Momenta of the nodes from the points' velocities, or from new velocities. Collective."""
         momenta = mass.nodal()
         self._settings.mapping.to_grid(self._problem.points, field, x_node, momenta, new)
-        momenta.arrays[0][...] *= self._settings.scaling
+        momenta.arrays[0][...] *= self._settings.mass_scaling
         return momenta
-
-    def _before(self, step: Step, kick: float, held: Array, basis: Any) -> Array:
-        """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
-        prescribed = self._problem.held
-        bcs = prescribed.conditions
-        if not any(condition.velocity for condition in bcs):
-            return held
-        dt, share = step.dt, step.share
-        ending = [np.array(bc.values) for bc in bcs]
-        set_velocities(bcs, lambda v: v(step.t - 0.5 * dt - kick) * dt / share)
-        values = prescribed.at([basis], share)[1][0] / dt
-        for condition, value in zip(bcs, ending):
-            if condition.velocity is not None:
-                condition.value.value = value
-        return np.asarray(values, np.float64)
 
     @stages.assemble
     def _forces(self, operator: Operator, mass: Mass, s: Stencils, u: Array | None) -> Nodal | str:
@@ -258,7 +261,7 @@ class GeneralSteps(ExplicitBase):
             forces.arrays[0][:] -= operator.forces_of("contact")[0]
         return forces
 
-    def _held_by(
+    def _of_boundaries(
         self, operator: Operator, at_start: list[Array] | None, u: Array | None
     ) -> Array | None:
         """Internal forces of boundaries, at the start or after an increment u. Collective."""
@@ -270,12 +273,9 @@ class GeneralSteps(ExplicitBase):
     @stages.assemble
     def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:
         """Change the forces by bulk viscosity, and by filters of light nodes. Collective."""
-        points, b = self._problem.points, self._settings.viscosity
-        if b != (0.0, 0.0):
-            speeds = wave_speed(points, self._problem.form.parts.declarations)
-            viscous = mass.nodal()
-            sizes = cell_sizes_at(points, self._problem.fields[0].space)
-            pressure = viscous_pressure(points, s, V, b, speeds, sizes)
+        points = self._problem.points
+        if self.viscosity is not None:
+            viscous, pressure = mass.nodal(), self.viscosity.pressure(s, V)
             if self.kinks is not None:
                 self.kinks.add_closing(points["id"], pressure[:, 0, 0])
             scatter_tensor(points, s, pressure, viscous.arrays[0])
@@ -300,81 +300,80 @@ class GeneralSteps(ExplicitBase):
 
     @stages.solve
     def _end(
-        self, motion: tuple[Array, Array], mass: Mass, here: Activation, held: Array, dt: float,
-        t: float,
+        self, motion: tuple[Array, Array], mass: Mass, here: Activation, prescribed: Array,
+        step: ExplicitStep,
     ) -> tuple[Array, Array | None]:  # fmt: skip
         """Velocities at the end of a step, with faces of the grid and conditions. Collective.
-
-        Waves come in with their forces at the time t of the positions.
 
         Returns:
             The velocities (m/s), shape (nodes, d), and what frictional faces have taken from them,
             likewise, or None without such faces.
         """
         V, A = motion
-        V_end = V + dt * A
-        faces = self.sides.on(here.fields[0].basis, t)
+        V_end = V + step.kick * A
+        faces = self.sides.on(here.fields[0].basis, step)
         fixed = here.unknowns.fields[0].fixed
         if faces is not None and faces.dashpots is not None:
-            V_end[fixed] = held[fixed]
-            V_end = self._damped(V, V_end, mass, here, faces, dt, t)
+            V_end[fixed] = prescribed[fixed]
+            V_end = self._damped(V, V_end, mass, here, faces, step)
         stopped = None
-        if faces is not None and self.sides.rubbing:
+        if faces is not None and self.sides.frictional:
             free = V_end.copy()
-            faces.rub(V_end, self.kinks)
+            faces.apply_friction(V_end, self.kinks)
             stopped = free - V_end
             # what conditions hold is not moved by friction
             stopped[fixed] = 0.0
-        V_end[fixed] = held[fixed]
+        V_end[fixed] = prescribed[fixed]
         return V_end, stopped
 
-    def _settle(self, here: Activation, taken: Array, V: Array) -> None:
-        """Hold nodes that frictional faces have stopped, but for conditions; see `Faces.settle`."""
+    def _constrain_stopped(self, here: Activation, taken: Array, V: Array) -> None:
+        """See `Faces.constrain_stopped`. What conditions prescribe stays."""
         faces, fixed = self.sides.on(here.fields[0].basis), here.unknowns.fields[0].fixed
         assert faces is not None
         given = V[fixed]
-        faces.settle(taken, V, self.kinks)
+        faces.constrain_stopped(taken, V, self.kinks)
         V[fixed] = given
 
     def _before_forces(
-        self, operator: Operator, mass: Mass, V: Array, times: tuple[float, float]
+        self, operator: Operator, mass: Mass, V: Array, step: ExplicitStep
     ) -> tuple[Array, float]:
         """Velocities for the strain (m/s), and the time during which they strain (s). Collective.
 
         In "usf" the strain before the forces is that by the last motion of the points, of the last
         step's length. The forces before it tell which nodes frictional faces will stop.
         """
-        (dt, kick), here = times, operator.here
+        here = operator.here
         if self._settings.scheme != "usf":
-            return V, dt
-        last, faces = 2.0 * kick - dt, self.sides.on(here.fields[0].basis)
-        if faces is None or not self.sides.rubbing:
+            return V, step.dt
+        last, faces = step.before, self.sides.on(here.fields[0].basis)
+        if faces is None or not self.sides.frictional:
             return V, last
         forces = self._forces(operator, mass, here.fields[0].stencils, None)
         assert isinstance(forces, Nodal)
-        if (held_by := self._held_by(operator, boundary_forces(operator), None)) is not None:
-            forces.arrays[0][:] -= held_by
-        free = V + kick * mass.solve(forces, np.zeros_like(V)).arrays[0]
-        V_end, settled = free.copy(), V.copy()
-        faces.rub(V_end, self.kinks)
-        self._settle(here, free - V_end, settled)
-        return settled, last
+        by_boundaries = self._of_boundaries(operator, boundary_forces(operator), None)
+        if by_boundaries is not None:
+            forces.arrays[0][:] -= by_boundaries
+        free = V + step.kick * mass.solve(forces, np.zeros_like(V)).arrays[0]
+        V_end, stopped_too = free.copy(), V.copy()
+        faces.apply_friction(V_end, self.kinks)
+        self._constrain_stopped(here, free - V_end, stopped_too)
+        return stopped_too, last
 
     def _damped(
-        self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces, dt: float,
-        t: float,
+        self, V: Array, V_end: Array, mass: Mass, here: Activation, faces: Faces,
+        step: ExplicitStep,
     ) -> Array:  # fmt: skip
-        """Velocities after dashpots and incoming waves. Collective."""
+        """Velocities after dashpots, and after waves with their forces at the start. Collective."""
         problem, settings, field = self._problem, self._settings, here.fields[0]
-        own, waves = here.unknowns.fields[0], faces.waves
+        own, waves = here.unknowns.fields[0], faces.wave_forces(step.start)
         free = np.zeros_like(own.fixed)
         free[own.owned_nodes] = ~own.fixed[own.owned_nodes]
         assert faces.dashpots is not None
-        sides = SideDashpots(mass, faces.dashpots, waves.forces(t), free, dt)
+        sides = SideDashpots(mass, faces.dashpots, waves, free, step.kick)
         if problem.terms.kind == "consistent":
             damped, at_side = sides.consistent(V_end)
-        elif settings.gives_back and (waves or field.C is not None):
-            weight = settings.scaling * point_masses(problem.points)
+        elif settings.gives_back and (faces.incoming or field.C is not None):
+            weight = settings.mass_scaling * point_masses(problem.points)
             damped, at_side = sides.lumped(V_end, V, field.stencils, weight)
         else:
             # as in the fused loop
@@ -384,7 +383,7 @@ class GeneralSteps(ExplicitBase):
         self._work.losses["damping"] += lost
         return damped
 
-    def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
+    def _add_losses(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
         """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
 
         Collective. Kinetic energy of a ghost mass exists only within a step. It is no loss, because

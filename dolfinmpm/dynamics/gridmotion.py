@@ -17,12 +17,11 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.boundarywork import boundary_forces, forces_without_contact, has_walls
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
-from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.inertiaterm import Dashpots
+from dolfinmpm.dynamics.facesatnodes import Sides
+from dolfinmpm.dynamics.inertia import Dashpots, NewmarkRule
 from dolfinmpm.dynamics.ledger import Ledger, Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import MassTerms, point_masses
-from dolfinmpm.dynamics.newmarkrule import NewmarkRule
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.stepwork import (
     MovingNodes,
@@ -35,6 +34,7 @@ from dolfinmpm.dynamics.stepwork import (
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.step import Step
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["GridMotion"]
@@ -58,12 +58,12 @@ class GridMotion:
         penalty_energy: Energy taken by penalties on changes of velocity.
         nodes: Nodes of each field that moves points, at the start of the last step.
         varying: Whether any load changes in the present step.
-        held_at_start: Forces of boundaries at the start of the step (N), shape (nodes, components)
-            per field, or None without boundaries.
+        boundary_forces: Forces of boundaries at the start of the step (N), shape
+            (nodes, components) per field, or None without boundaries.
     """
 
     nodes: list[MovingNodes]
-    held_at_start: list[Array] | None = None
+    boundary_forces: list[Array] | None = None
 
     def __init__(
         self,
@@ -79,8 +79,7 @@ class GridMotion:
         self.ledger, self.penalty_energy, self._gain = ledger, PenaltyEnergy(), EnergyGain()
         # whether the accelerations at the start of the next step follow from M a = f
         self._starting = True
-        # times of the start and of the end of the substep (s)
-        self._times = 0.0, 0.0
+        self._step = Step()
 
     def begin(self, jumped: bool, varying: bool) -> None:
         """Begin a step.
@@ -97,26 +96,23 @@ class GridMotion:
         self._sides.regrid()
 
     @stages.assemble
-    def to_grid(
-        self, here: Activation, form: WeakForm, t: float, dt: float, rates: Sequence[Array]
-    ) -> None:
+    def to_grid(self, here: Activation, form: WeakForm, step: Step, rates: Sequence[Array]) -> None:
         """Velocities and accelerations of the nodes at the start of a step. Collective.
 
         Args:
             here: The activation.
             form: The weak form, for M a = f.
-            t: Time at the end of the step (s).
-            dt: Length of the step (s).
+            step: The step.
             rates: Velocities of prescribed components (m/s), shape (nodes, d) per field.
         """
-        start, self._times = None, (t - dt, t)
+        start, self._step = None, step
         for k in here.movers:
-            self._sides.on(here.fields[k].basis, t - dt)
-        self.held_at_start = None
+            self._sides.on(here.fields[k].basis, step)
+        self.boundary_forces = None
         if self._starting or self.rule.by_forces or form.boundaries:
             plain = Operator(form, here)
             plain.move_to_start()
-            self.held_at_start = boundary_forces(plain)
+            self.boundary_forces = boundary_forces(plain)
         if self._starting or self.rule.by_forces:
             start = forces_without_contact(plain)
         self.nodes = [
@@ -125,7 +121,8 @@ class GridMotion:
         ]
         if here.blocks_of("changes"):
             moving = [(one.k, one.mass, one.V) for one in self.nodes]
-            self.penalty_energy.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
+            share = self._ghost_share * (1 - self.rule.alpha_f)
+            self.penalty_energy.begin(here, moving, step.dt, share)
 
     @property
     def _ghost_share(self) -> float:
@@ -159,8 +156,8 @@ class GridMotion:
             faces = self._sides.on(field.basis)
             if faces is not None and faces.dashpots is not None:
                 forces.arrays[0][:] -= faces.dashpots * V
-                if faces.waves:
-                    forces.arrays[0][:] += faces.waves.forces(self._times[0])
+                if faces.incoming:
+                    forces.arrays[0][:] += faces.wave_forces(self._step.start)
         else:
             m = point_masses(points)
             scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
@@ -168,32 +165,31 @@ class GridMotion:
         A = mass.solve(forces, np.zeros_like(V)).arrays[0]
         return MovingNodes(k, field.space.tags, mass, given, V, A)
 
-    def dashpots(self, here: Activation, dt: float) -> Dashpots | None:
+    def dashpots(self, here: Activation) -> Dashpots | None:
         """Dashpots of absorbing faces at the level of balance, or None. Collective."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is None or faces.dashpots is None:
             return None
-        rule, d, c = self.rule, self._points.gdim, faces.dashpots
+        rule, d, c, dt = self.rule, self._points.gdim, faces.dashpots, self._step.dt
         level, one = 1.0 - rule.alpha_f, self.nodes[0]
         rest = rule.acceleration(np.zeros_like(one.V), one.V, one.A, dt)
         start = level * rule.velocity(one.V, one.A, rest, dt) + rule.alpha_f * one.V
         push = c * start
-        if faces.waves:
-            push = push - faces.waves.forces(self._times[0] + level * dt)
+        if faces.incoming:
+            push = push - faces.wave_forces(self._step.start + level * dt)
         owned = here.unknowns.fields[0].owned_nodes
         nodes = owned[c[owned].any(axis=1)]
         values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
         return Dashpots(Blocks(0, 0, nodes, nodes, values), push, owned)
 
     @stages.commit
-    def ends(self, operator: Operator, dt: float) -> list[NodalMotion]:
-        """Motion of the nodes at the end of a step, per field. Collective.
+    def end(self, operator: Operator) -> None:
+        """Find the motion of the nodes at the end of the step. Collective.
 
         Args:
             operator: The step's equations, with the increments at the end of the step.
-            dt: Length of the step (s).
         """
-        rule, motions = self.rule, []
+        rule, dt = self.rule, self._step.dt
         for one in self.nodes:
             u = operator.increments[one.k]
             A_end = rule.acceleration(u, one.V, one.A, dt)
@@ -202,29 +198,19 @@ class GridMotion:
             if _touches(operator):
                 push = self._push(one, operator)
                 V_end, A_end = rule.with_contact(V_end, A_end, push, dt)
-            motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
-        return motions
+            one.motion = NodalMotion(one.V, one.A, V_end, A_end, u, push)
 
     @stages.commit
     def to_points(
-        self,
-        operator: Operator,
-        state: NewState,
-        motions: Sequence[NodalMotion],
-        dt: float,
-        x: Array,
-        scale: float,
-        may_halve: bool,
+        self, operator: Operator, state: NewState, x: Array, scale: float, may_halve: bool
     ) -> str | None:
-        """Add the points' new motion to a new state. Collective.
+        """Add the points' new motion to a new state, after `end`. Collective.
 
         Loads must have their values in the middle of the step, for their work.
 
         Args:
             operator: The step's equations, with the increments at the end of the step.
             state: The new state; the new motion is added to it.
-            motions: Result of `ends`.
-            dt: Length of the step (s).
             x: Unknowns at the level of balance, shape (owned,).
             scale: Increments at the end over increments at the level of balance.
             may_halve: Whether a step that makes energy may be halved.
@@ -232,21 +218,19 @@ class GridMotion:
         Returns:
             The reason to halve the step, or None.
         """
-        points = self._points
-        found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
-        moved, varying = list(zip(self.nodes, motions)), self.varying
-        work = Work(external=work_of_loads(operator, x, scale, moved, dt, varying))
+        points, step = self._points, self._step
+        found = [self._from_nodes(one, operator) for one in self.nodes]
+        loads = work_of_loads(operator, x, scale, self.nodes, step.dt, self.varying)
+        work = Work(external=loads)
         stored: dict[int, float] = {}
         work.add_stresses(points, state.fields, operator)
-        for one, motion in moved:
-            share, expected = (
-                self._ghost_share / scale,
-                self.penalty_energy.share[one.k] * dt * one.V,
-            )
+        for one in self.nodes:
+            expected = self.penalty_energy.share[one.k] * step.dt * one.V
+            share = self._ghost_share / scale
             faces = self._sides.on(operator.here.fields[one.k].basis)
-            stored[one.k] = add_work_of_nodes(work, one, motion, operator, share, expected, faces)
-            if faces is not None and faces.waves:
-                work.external += work_of_waves(faces.waves, self._times, one, motion, operator)
+            stored[one.k] = add_work_of_nodes(work, one, operator, share, expected, faces)
+            if faces is not None and faces.incoming:
+                work.external += work_of_waves(faces, step, one, operator)
         # with a lumped mass, the mapping changes energy more than the rule does
         if _touches(operator) and self.terms.kind == "consistent":
             contact = work_of_contact(operator, self.nodes)
@@ -271,9 +255,7 @@ class GridMotion:
         forces.arrays[0][:] = mean_contact_forces(operator)[one.k]
         return one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
 
-    def _from_nodes(
-        self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
-    ) -> dict[str, Array]:
+    def _from_nodes(self, one: MovingNodes, operator: Operator) -> dict[str, Array]:
         """New motion of the points of a field. Rows of other points have no meaning. Collective."""
         points, field = self._points, operator.here.fields[one.k]
         s, x_node = field.stencils, field.basis.node_coordinates()
@@ -282,26 +264,26 @@ class GridMotion:
             points["acceleration"][rows] = collect(s, one.A)[rows]
         gradient = np.zeros((len(points), points.gdim, points.gdim))
         if self.mapping.kind == "tpic":
-            gather(s, motion.V_end, np.empty((len(points), points.gdim)), gradient)
+            gather(s, one.motion.V_end, np.empty((len(points), points.gdim)), gradient)
             dF = np.eye(points.gdim) + operator.points.gradient[one.k]
             gradient = gradient @ np.linalg.inv(dF)
         return self.mapping.to_points(
-            points, field, x_node, motion, one.mass, dt, self.rule.gamma, gradient
+            points, field, x_node, one.motion, one.mass, self._step.dt, self.rule.gamma, gradient
         )
 
-    def errors(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> Array:
+    def errors(self, here: Activation) -> Array:
         """Error |β − 1/6| Δt² |a' − a| of a step's displacement, and its size (m). Collective.
 
         Zienkiewicz & Xie 1991, doi 10.1002/eqe.4290200907.
         """
         both: Array = np.zeros(2)
-        for one, motion in zip(self.nodes, motions):
-            nodes = here.fields[one.k].nodes
+        for one in self.nodes:
+            nodes, motion = here.fields[one.k].nodes, one.motion
             assert motion.u is not None
             change = np.abs(motion.A_end[nodes] - motion.A[nodes]).max(initial=0.0)
             both = np.maximum(both, [change, np.abs(motion.u[nodes]).max(initial=0.0)])
         self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-        both[0] *= abs(self.rule.beta - 1 / 6) * dt**2
+        both[0] *= abs(self.rule.beta - 1 / 6) * self._step.dt**2
         return both
 
     def state(self) -> dict[str, Any]:

@@ -23,10 +23,10 @@ from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.bspline import greville
+from dolfinmpm.basis.lineweights import line_weights, overlapped
 from dolfinmpm.dynamics.clock import times
-from dolfinmpm.dynamics.sideareas import integrals_within, line_functions
 
-__all__ = ["ColumnAtSide", "GroundColumn"]
+__all__ = ["ColumnAtSide", "GroundColumn", "integrals_within"]
 
 Array = npt.NDArray[np.float64]
 # Share of a cell's height below which points are in one row
@@ -269,3 +269,22 @@ def _lines(known: Array, at: Array) -> Array:
     rows = np.arange(at.size)
     out[rows, k], out[rows, k + 1] = 1.0 - share, share
     return out
+
+
+def line_functions(line: Array, degree: int, x: Array, half: Array) -> Array:
+    """Functions of a direction at places, or averaged over domains, shape (functions, places)."""
+    out = np.zeros((line.size - 1 + degree, x.size))
+    part, slope = np.empty(degree + 1), np.empty(degree + 1)
+    for k, (at, reach) in enumerate(zip(x, half)):
+        first, count = overlapped(line, False, at, reach)
+        S, dS = np.empty(count + degree), np.empty(count + degree)
+        line_weights(line, False, degree, first, count, at, reach, S, dS, part, slope)
+        out[first : first + count + degree, k] = S
+    return out
+
+
+def integrals_within(line: Array, degree: int, low: float, high: float) -> Array:
+    """Integrals of the functions of a direction over a part of the line (m), shape (functions,)."""
+    low, high = max(low, line[0]), min(high, line[-1])
+    middle, reach = np.array([0.5 * (low + high)]), np.array([0.5 * (high - low)])
+    return (high - low) * line_functions(line, degree, middle, reach)[:, 0]

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import coordinates, number, shown, text_of, whole
 from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError, warn
+from dolfinmpm.grid.userfunctions import VelocityByTime
 
 __all__ = ["InputMotion"]
 
@@ -20,7 +21,7 @@ _LEFT = 0.02
 _MISSED = 0.1
 
 
-class InputMotion:
+class InputMotion(VelocityByTime):
     """A recorded motion of the ground in one direction, for `absorbing(incoming=)` and `moving`.
 
     Between its samples the given quantity is linear. The others follow by exact integration. Before
@@ -43,8 +44,9 @@ class InputMotion:
 
     Warns:
         DriftingRecordWarning: A record in use has more than 2 % of its peak velocity left after
-            its end. Or steps of `Newmark`, `GeneralisedAlpha` or `Transient` are so long that they
-            miss a tenth of its peak velocity: they take the mean of the velocities at both ends.
+            its end. Or steps are so long that they miss a tenth of its peak velocity. Steps of
+            `Newmark`, `GeneralisedAlpha` and `Transient` take the mean of the velocities at both
+            ends. Steps of `Explicit` are compared with a wave that comes in through a side.
 
     A record of three samples:
 
@@ -99,15 +101,17 @@ class InputMotion:
                 DriftingRecordWarning,
             )
 
-    def mean_velocity(self, start: float, end: float) -> float:
-        """Mean of the velocities at both ends of a step (m/s). Warns once if it misses waves.
+    def check_step(self, start: float, end: float) -> None:
+        """Warn once if a step misses waves: it takes the mean of the velocities at both ends.
 
         Args:
             start, end: Times (s).
         """
+        if self._missed:
+            return
         found, dt = 0.5 * (self(start) + self(end)), end - start
         exact = self.displacement(end) - self.displacement(start)
-        if not self._missed and abs(found * dt - exact) > _MISSED * self._peak * dt:
+        if abs(found * dt - exact) > _MISSED * self._peak * dt:
             from mpi4py import MPI
 
             self._missed = True
@@ -119,7 +123,6 @@ class InputMotion:
                 "ones",
                 DriftingRecordWarning,
             )
-        return found
 
     @classmethod
     def from_csv(

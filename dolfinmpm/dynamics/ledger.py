@@ -39,7 +39,7 @@ from dolfinmpm.dynamics.energies import (
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["LOSSES", "Energies", "Ledger", "MovingBody", "Work"]
+__all__ = ["Energies", "Ledger", "MovingBody", "Work"]
 
 Array = npt.NDArray[np.float64]
 
@@ -62,12 +62,12 @@ class Work:
         projected: Energy lost by the mapping in explicit steps: the points' kinetic energy if
             forces only changed their velocities, less the kinetic energy after the mapping.
         start: ½ Σ m Δv² of the nodes in the half step in which a run begins, with one Δv by forces
-            alone, see `dolfinmpm.dynamics.halfstep`. It counts as kinetic energy.
+            alone, see `dolfinmpm.dynamics.energies`. It counts as kinetic energy.
         losses: Losses by the names of `LOSSES`.
         length: Not a sum: length of the last step (s), 0 before the first step.
         late, late_bodies: Not sums: lateness of the points and of rigid bodies. Lateness is the
             kinetic energy at the time of positions less the kinetic energy of the velocities, see
-            `dolfinmpm.dynamics.halfstep`.
+            `dolfinmpm.dynamics.energies`.
         latest: Not a sum: work of the stresses at the end of the last step on its strains.
     """
 
@@ -155,7 +155,7 @@ class Energies:
     Attributes:
         kinetic: ½ Σ m v² of the points. Velocities of explicit steps are half a step behind
             positions. So the kinetic energy is corrected to the time of the positions, see
-            `dolfinmpm.dynamics.halfstep`. The same holds for free rigid bodies.
+            `dolfinmpm.dynamics.energies`. The same holds for free rigid bodies.
         strain: Elastic energy stored by the laws; NaN if a law has no energy.
         external: Work of loads and prescribed motions since the first step. Terms in UFL that
             depend on the increment, such as `Surface.pressure`, are in "integrator".
@@ -197,7 +197,7 @@ class Ledger:
         points: Material points.
         form: The weak form.
         bodies: The rigid bodies of the form.
-        scaling: Factor of the points' mass in the inertia.
+        mass_scaling: Factor of the points' mass in the inertia.
         by_points: Whether steps sum up the energy lost by the mapping, see `Work`.
 
     Attributes:
@@ -209,12 +209,12 @@ class Ledger:
         points: MaterialPoints,
         form: WeakForm,
         bodies: RigidBodies,
-        scaling: float = 1.0,
+        mass_scaling: float = 1.0,
         by_points: bool = False,
     ):
         self.work = Work()
         self._points, self._form, self._bodies = points, form, bodies
-        self.scaling, self._by_points = scaling, by_points
+        self.mass_scaling, self._by_points = mass_scaling, by_points
         self._first = dict.fromkeys(_FIRST, 0.0)
         self._last = 0.0
 
@@ -235,7 +235,7 @@ class Ledger:
         elif kinetic != self._last:
             # changed velocities count as velocities at the present time
             first["kinetic"] += kinetic - self._last
-            late = (self.work.late + self.work.start) / self.scaling
+            late = (self.work.late + self.work.start) / self.mass_scaling
             first["initial"] += kinetic - self._last - late
             self.work.late = self.work.start = 0.0
         self._last = kinetic
@@ -288,12 +288,12 @@ class Ledger:
         """
         bodies = self._bodies
         own = bodies.kinetic() + bodies.stored - (bodies.given or 0.0)
-        return self.scaling * self.end() + own
+        return self.mass_scaling * self.end() + own
 
     def _touching(self) -> tuple[float, float]:
         """Energy stored by contact of facing bodies, and all work of friction (J). Collective."""
         energies = [term.energy() for term in self._form.terms]
-        rubbed = self._bodies.rubbed + sum(rubbed for _, rubbed in energies)
+        rubbed = self._bodies.friction_work + sum(rubbed for _, rubbed in energies)
         return sum(stored for stored, _ in energies), rubbed
 
     def _strain(self) -> float:
@@ -309,7 +309,7 @@ class Ledger:
         first, work = self._first, self.work
         own, strain = self.kinetic(), self._strain()
         # velocities changed by the user count as velocities at the present time
-        late = (work.late + work.start) / self.scaling if own == self._last else 0.0
+        late = (work.late + work.start) / self.mass_scaling if own == self._last else 0.0
         kinetic = own + late
         bodies, (contact, rubbed) = self._bodies.kinetic() + work.late_bodies, self._touching()
         contact += self._bodies.stored
@@ -326,10 +326,10 @@ class Ledger:
         gained = own - first["kinetic"]
         losses["projection"] = work.projected
         if not self._by_points:
-            losses["projection"] = work.grid - self.scaling * gained
-        if self.scaling != 1.0:
+            losses["projection"] = work.grid - self.mass_scaling * gained
+        if self.mass_scaling != 1.0:
             # scaled inertia has more energy than the mass
-            losses["mass scaling"] = (self.scaling - 1.0) * (gained + late)
+            losses["mass scaling"] = (self.mass_scaling - 1.0) * (gained + late)
         known = kinetic + strain + bodies + contact + sum(losses.values())
         initial = first["initial"] + (self._bodies.given or 0.0)
         losses["integrator"] = self.whole - known

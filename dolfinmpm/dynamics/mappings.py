@@ -23,7 +23,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import collect, moments, scatter, scatter_affine
 
-__all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]
+__all__ = ["Mapping", "NodalMotion", "mapping_of"]
 
 Array = npt.NDArray[np.float64]
 KINDS = ("pic", "flip", "accel", "apic", "tpic", "xpic", "fmpm")
@@ -256,7 +256,7 @@ class Mapping:
     def _filtered(self, points: MaterialPoints, field: ActiveField, V: Array, mass: Mass) -> Array:
         """V_k with V_{j+1} = V_j + M_L⁻¹ (M_L V − M V_j), V_1 = V. Collective."""
         m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
-        s, filtered, weights = field.stencils, V, mass.scaling * point_masses(points)
+        s, filtered, weights = field.stencils, V, mass.mass_scaling * point_masses(points)
         for _ in range(self.order - 1):
             product = mass.nodal()
             scatter(s, weights, collect(s, filtered), product.arrays[0])

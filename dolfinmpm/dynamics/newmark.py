@@ -28,16 +28,16 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
 from dolfinmpm.dynamics.faces import (
-    Sides,
     ghost_mass_at,
     refuse_constraints,
     split_conditions,
 )
+from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.gridmotion import GridMotion
+from dolfinmpm.dynamics.inertia import NewmarkRule
 from dolfinmpm.dynamics.ledger import Ledger, MovingBody
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.newmarkrule import NewmarkRule
 from dolfinmpm.dynamics.timescheme import NewmarkScheme
 from dolfinmpm.forms.formchecks import check_levels
 from dolfinmpm.solve.arguments import increments_of
@@ -113,7 +113,7 @@ class TimeStepping(MovingBody, QuasiStatic):
         scheme.motion = GridMotion(points, rule, chosen, terms, sides, ledger)
         check_masses(self.bodies)
         self.form.add(terms)
-        self.form.start_in_time(scheme.means)
+        self.form.start_in_time(scheme.mean_weights)
 
     @property
     def motion(self) -> GridMotion:

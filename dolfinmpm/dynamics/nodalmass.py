@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -44,22 +45,22 @@ class Mass:
     Args:
         terms: The terms of the mass.
         here: The activation.
-        scaling: Factor of the mass.
+        mass_scaling: Factor of the mass.
         k: Number of the field.
 
     Attributes:
-        scaling: The argument.
+        mass_scaling: The argument.
         lumped: Row sums of the mass (kg), shape (nodes,), on all ranks that know the nodes.
         iterations: CG iterations of the last solution.
     """
 
     @stages.assemble
-    def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0, k: int = 0):
+    def __init__(self, terms: MassTerms, here: Activation, mass_scaling: float = 1.0, k: int = 0):
         self._terms, self._here, self._k = terms, here, k
-        self._field, self.scaling = here.fields[k], scaling
+        self._field, self.mass_scaling = here.fields[k], mass_scaling
         self.blocks = here.blocks_of("mass", k)
-        if scaling != 1.0:
-            self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]
+        if mass_scaling != 1.0:
+            self.blocks = [replace(b, values=mass_scaling * b.values) for b in self.blocks]
         self.iterations = 0
         single = terms.kind == "lumped" and all(
             np.array_equal(b.rows, b.columns) for b in self.blocks
@@ -71,7 +72,7 @@ class Mass:
                 np.add.at(sums.arrays[0][:, 0], b.rows, b.values[:, 0, 0])
         if terms.kind != "lumped":
             ones = np.ones((len(terms.points), 1))
-            m = scaling * point_masses(terms.points)
+            m = mass_scaling * point_masses(terms.points)
             scatter(self._field.stencils, m, ones, sums.arrays[0])
         sums.add_up()
         sums.spread()
@@ -140,12 +141,12 @@ class Mass:
         return unknowns.fields[self._k if len(unknowns.fields) > 1 else 0]
 
     @stages.solve
-    def velocities(self, momenta: Nodal, held: Array, fastest: float) -> Nodal:
+    def velocities(self, momenta: Nodal, prescribed: Array, fastest: float) -> Nodal:
         """Velocities of the nodes from momenta (kg m/s) of the points. Collective.
 
         Args:
             momenta: Momenta, summed at the nodes' owners.
-            held: Velocities of prescribed components (m/s), shape (nodes, components).
+            prescribed: Velocities of prescribed components (m/s), shape (nodes, components).
             fastest: Largest component of a velocity of this rank's points (m/s).
 
         Warns once if a node is far faster than the points. A consistent mass allows this where a
@@ -155,11 +156,11 @@ class Mass:
         Raises:
             ConvergenceError: The mass is singular.
         """
-        V = self.solve(momenta, held)
+        V = self.solve(momenta, prescribed)
         if self._diagonal:
             return V
         own = self._own_of(self._here.unknowns)
-        nodes, given = own.nodes, np.where(own.fixed, held, 0.0)
+        nodes, given = own.nodes, np.where(own.fixed, prescribed, 0.0)
         found = [np.abs(V.arrays[0][nodes]).max(initial=0.0), np.abs(given).max(initial=0.0)]
         both = np.array([*found, fastest])
         self.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
@@ -186,12 +187,12 @@ class Mass:
         return ", or ".join([*found, "more points per cell"])
 
     @stages.solve
-    def solve(self, right: Nodal, held: Array) -> Nodal:
-        """Nodal values v with M v = right, with given values of held components. Collective.
+    def solve(self, right: Nodal, prescribed: Array) -> Nodal:
+        """Nodal values v with M v = right, with given values of prescribed components. Collective.
 
         Args:
             right: Right-hand side, summed at the nodes' owners.
-            held: Values of prescribed components, shape (nodes, components).
+            prescribed: Values of prescribed components, shape (nodes, components).
 
         Returns:
             The values, on all ranks that know the nodes.
@@ -209,21 +210,19 @@ class Mass:
             m = np.maximum(m, 1e-3 * self.lumped.max(initial=0.0))
         guess = unknowns.restrict([p / m])
         if not self._diagonal:
-            fixed = np.where(unknowns.fields[0].fixed, held, 0.0)
+            fixed = np.where(unknowns.fields[0].fixed, prescribed, 0.0)
             given = unknowns.restrict([p]) - unknowns.restrict(self.times(fixed).arrays)
             guess = self._cg(given, guess)
-        unknowns.expand(guess, [held], out)
+        unknowns.expand(guess, [prescribed], out)
         return out
 
-    @property
+    @cached_property
     def _unknowns(self) -> Unknowns:
         here = self._here
         if len(here.fields) == 1:
             return here.unknowns
-        if not hasattr(self, "_own"):
-            one = here.unknowns.fields[self._k]
-            self._own = Unknowns([one.numbering], [one.nodes], [one.fixed])
-        return self._own
+        one = here.unknowns.fields[self._k]
+        return Unknowns([one.numbering], [one.nodes], [one.fixed])
 
     def _cg(self, right: Array, guess: Array) -> Array:
         """Conjugate gradients with the diagonal of the matrix, or with its factors. Collective."""

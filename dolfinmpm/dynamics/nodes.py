@@ -13,12 +13,12 @@ __all__ = ["divide", "fastest", "move_nodes", "take_means"]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _rub(mark, rubbing, velocity):
+def _apply_friction(mark, friction, velocity):
     """Stop a node that would leave the grid through a side, and let friction act on its slip."""
-    for face in range(rubbing.shape[0]):
+    for face in range(friction.shape[0]):
         if (mark >> np.uint64(face)) & np.uint64(1) == 0:
             continue
-        axis, outward, mu = int(rubbing[face, 0]), rubbing[face, 1], rubbing[face, 2]
+        axis, outward, mu = int(friction[face, 0]), friction[face, 1], friction[face, 2]
         out = outward * velocity[axis]
         if not out > 0.0:
             continue
@@ -32,10 +32,10 @@ def _rub(mark, rubbing, velocity):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _settle(mark, rubbing, fixed, per_momentum, taken, mapped):
-    """Hold a node that sides have stopped, see `Faces.settle`; taken are momenta here."""
-    for face in range(rubbing.shape[0]):
-        axis, outward, mu = int(rubbing[face, 0]), rubbing[face, 1], rubbing[face, 2]
+def _constrain_stopped(mark, friction, fixed, per_momentum, taken, mapped):
+    """See `Faces.constrain_stopped`, for one node; taken are momenta here."""
+    for face in range(friction.shape[0]):
+        axis, outward, mu = int(friction[face, 0]), friction[face, 1], friction[face, 2]
         out = outward * taken[axis] * per_momentum
         if (mark >> np.uint64(face)) & np.uint64(1) == 0 or not out > 0.0:
             continue
@@ -54,30 +54,31 @@ def _settle(mark, rubbing, fixed, per_momentum, taken, mapped):
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def move_nodes(
-    box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, kick, scaling,
-    damping, known, last, done,
+    box, columns, out, nodes, own, fixed, before, after, faces, pushed, g, dt, kick, begins,
+    mass_scaling, damping, known, last, done,
 ):  # fmt: skip
     """Accelerate the nodes of a box.
 
     Args:
         own: Mask of the nodes whose work this rank counts.
-        before, held: Velocities of fixed components at the start and at the end of the step.
+        before, after: Velocities of fixed components at the start and at the end of the step.
         faces: Friction and dashpots at sides of the grid, see `Faces.by_nodes`.
         pushed: Output: changes of velocity by forces alone; or empty.
         dt, kick: Time during which nodes move, and time during which forces act on them (s).
+        begins: Whether a run begins with the step.
         known: Whether velocities for the strain are set already.
         last: Whether the points move by these velocities. The sums are then cleared.
         done: Sums to add to, see `FusedSteps.done`.
     """
     _, mass, force, second = columns
     d = fixed.shape[1]
-    marks, rubbing, dashpots, taken = faces
+    marks, friction, dashpots, taken = faces
     ends, forces, resisting = np.empty(d), np.empty(d), np.zeros(d)
     work = grid = damped = rubbed = start = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
             m = out[k, mass]
-            half = 0.5 * m * scaling if own[k] else 0.0
+            half = 0.5 * m * mass_scaling if own[k] else 0.0
             per_mass = 1.0 / m if m > 0.0 else 0.0
             for i in range(d):
                 y = out[k, i] * per_mass
@@ -86,35 +87,34 @@ def move_nodes(
                     resisting[i] = damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
                     f -= resisting[i]
                 forces[i] = f
-                ends[i] = before[k, i] if fixed[k, i] else y + kick * f * per_mass / scaling
+                ends[i] = before[k, i] if fixed[k, i] else y + kick * f * per_mass / mass_scaling
             if dashpots.shape[0] > 0 and m > 0.0:
                 for i in range(d):
                     if not fixed[k, i]:
-                        ends[i] /= 1.0 + kick * dashpots[k, i] / (m * scaling)
+                        ends[i] /= 1.0 + kick * dashpots[k, i] / (m * mass_scaling)
                         if own[k]:
                             damped += kick * dashpots[k, i] * ends[i] ** 2
             if marks.shape[0] > 0 and marks[k] != 0:
                 for i in range(d):
                     taken[k, i] = ends[i]
-                _rub(marks[k], rubbing, ends)
+                _apply_friction(marks[k], friction, ends)
                 for i in range(d):
-                    lost = 0.0 if fixed[k, i] else m * scaling * (taken[k, i] - ends[i])
+                    lost = 0.0 if fixed[k, i] else m * mass_scaling * (taken[k, i] - ends[i])
                     taken[k, i] = lost
                     if last and own[k]:
                         # friction works on the velocities of the strain, as stresses do
                         rubbed += dt / kick * lost * ends[i]
             for i in range(d):
                 y, f, end = out[k, i] * per_mass, forces[i], ends[i]
-                change = kick * f * per_mass / scaling
+                change = kick * f * per_mass / mass_scaling
                 if fixed[k, i]:
-                    y, end, change = before[k, i], held[k, i], 0.0
+                    y, end, change = before[k, i], after[k, i], 0.0
                     if own[k]:
                         # a prescribed motion works against forces and inertia of the node
-                        work += (m * scaling * (end - y) - kick * f) * end
+                        work += (m * mass_scaling * (end - y) - kick * f) * end
                 nodes[k, force + i] = end - y
                 grid += half * (end * end - y * y)
-                if 2.0 * kick == dt:
-                    # the run begins with half a step
+                if begins:
                     start += half * change * (end - y)
                 nodes[k, i] = end
                 if not known:
@@ -138,7 +138,8 @@ def move_nodes(
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def divide(
-    box, columns, out, momentum, nodes, fixed, held, faces, own, g, dt, kick, scaling, done, last
+    box, columns, out, momentum, nodes, fixed, after, faces, own, g, dt, kick, mass_scaling,
+    done, last,
 ):  # fmt: skip
     """Velocities for the strain from momenta; see `move_nodes` for the arguments.
 
@@ -146,18 +147,21 @@ def divide(
     hold the nodes that they have stopped, and sums are cleared.
     """
     work, rubbed, d = 0.0, 0.0, fixed.shape[1]
-    marks, rubbing, _, taken = faces
+    marks, friction, _, taken = faces
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
             m = out[k, columns[1]]
             per_mass = 1.0 / m if m > 0.0 else 0.0
             for i in range(fixed.shape[1]):
                 y = out[k, momentum + i] * per_mass
-                y = held[k, i] if fixed[k, i] else y
+                y = after[k, i] if fixed[k, i] else y
                 nodes[k, columns[3] + i] = y
             if last and marks.shape[0] > 0 and marks[k] != 0:
-                mapped, per_momentum = nodes[k, columns[3] : columns[3] + d], per_mass / scaling
-                _settle(marks[k], rubbing, fixed[k], per_momentum, taken[k], mapped)
+                mapped, per_momentum = (
+                    nodes[k, columns[3] : columns[3] + d],
+                    per_mass / mass_scaling,
+                )
+                _constrain_stopped(marks[k], friction, fixed[k], per_momentum, taken[k], mapped)
                 for i in range(d):
                     if own[k]:
                         rubbed += dt / kick * taken[k, i] * mapped[i]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -15,17 +16,11 @@ from dolfinmpm._platform.errors import LostMomentumWarning, ParameterError, warn
 from dolfinmpm.basis.stencils import Stencils, gather
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.dynamics.critical import cell_sizes_at, wave_speed
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import smallest_height
 
-__all__ = [
-    "MassCutOff",
-    "Redistribution",
-    "check_filters",
-    "checked_viscosity",
-    "filters",
-    "viscous_pressure",
-]
+__all__ = ["BulkViscosity", "check_filters", "checked_viscosity", "filters"]
 
 Array = npt.NDArray[np.float64]
 
@@ -191,34 +186,71 @@ def checked_viscosity(given: Any) -> tuple[float, float]:
     return linear, quadratic
 
 
-def viscous_pressure(
-    points: MaterialPoints,
-    s: Stencils,
-    V: Array,
-    b: tuple[float, float],
-    c: Array,
-    sizes: Array | None = None,
-) -> Array:
-    """−ρ h (b₁ c |ε̇| + b₂² h ε̇²) I times the points' volumes, in compression.
+class BulkViscosity:
+    """Bulk viscosity: the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²) in compression.
 
-    ε̇ is the rate of volumetric strain (von Neumann & Richtmyer 1950, doi 10.1063/1.1699639).
+    Von Neumann & Richtmyer 1950, doi 10.1063/1.1699639. c is the speed of waves, h the size of a
+    cell, and ε̇ the rate of the volumetric strain.
 
     Args:
         points: Material points.
-        s: Their stencils.
-        V: Velocities of the nodes (m/s), shape (nodes, d).
-        b: b₁ and b₂.
-        c: Wave speeds (m/s), shape (points,).
-        sizes: h at each point (m), shape (points,); None for the smallest height of the grid.
+        space: Space of the displacement.
+        declarations: Laws in the form.
+        coefficients: b₁ and b₂.
 
-    Returns:
-        Shape (points, strain_dim, strain_dim) (N m).
+    Attributes:
+        compression: Largest h |ε̇|/c of the last step; 0 where b₂ is 0.
     """
-    n, d = len(points), points.gdim
-    velocity, gradient = np.empty((n, d)), np.empty((n, d, d))
-    gather(s, V, velocity, gradient)
-    whole = full_gradient(points, velocity, gradient)
-    rate = np.minimum(np.trace(whole, axis1=1, axis2=2), 0.0)
-    h = smallest_height(points.grid) if sizes is None else sizes
-    q = points["density"] * points["V0"] * h * (b[0] * c * -rate + b[1] ** 2 * h * rate**2)
-    return -q[:, None, None] * np.eye(points.strain_dim)
+
+    compression = 0.0
+
+    def __init__(
+        self, points: MaterialPoints, space: Any, declarations: Sequence[Any],
+        coefficients: tuple[float, float],
+    ):  # fmt: skip
+        self._points, self._space, self._declarations = points, space, declarations
+        self._linear, self._quadratic = coefficients
+
+    def pressure(self, s: Stencils, V: Array) -> Array:
+        """−ρ h (b₁ c |ε̇| + b₂² h ε̇²) I times the points' volumes, in compression. Collective.
+
+        Args:
+            s: The points' stencils.
+            V: Velocities of the nodes (m/s), shape (nodes, d).
+
+        Returns:
+            Shape (points, strain_dim, strain_dim) (N m).
+        """
+        points, (h, c) = self._points, self._cells_and_speeds()
+        n, d = len(points), points.gdim
+        velocity, gradient = np.empty((n, d)), np.empty((n, d, d))
+        gather(s, V, velocity, gradient)
+        whole = full_gradient(points, velocity, gradient)
+        rate = np.minimum(np.trace(whole, axis1=1, axis2=2), 0.0)
+        if self._quadratic:
+            most = float(np.max(-h * rate / c, initial=0.0))
+            self.compression = points.comm.allreduce(most, op=MPI.MAX)
+        m, b, quadratic = points["density"] * points["V0"], self._linear, self._quadratic
+        q = m * h * (b * c * -rate + quadratic**2 * h * rate**2)
+        return -q[:, None, None] * np.eye(points.strain_dim)
+
+    def shorten(self, longest: float) -> float:
+        """The longest stable step (s), from that without viscosity. Collective.
+
+        Forces by the velocities at the start of a step damp the fastest motion by the ratio ξ. The
+        longest step is then Δt (√(1 + ξ²) − ξ) (Belytschko, Liu & Moran 2000, 6.2.5). Here ξ is
+        h (b₁ + b₂² h |ε̇|/c)/c over Δt, with the ε̇ of the last step.
+
+        Args:
+            longest: Δt (s).
+        """
+        h, c = self._cells_and_speeds()
+        most = self._points.comm.allreduce(float(np.max(h / c, initial=0.0)), op=MPI.MAX)
+        ratio = most * (self._linear + self._quadratic**2 * self.compression) / longest
+        return longest / (math.sqrt(1.0 + ratio**2) + ratio)
+
+    def _cells_and_speeds(self) -> tuple[Array | float, Array]:
+        """Sizes of the cells (m) and speeds of waves (m/s) at the points. Collective."""
+        sizes = cell_sizes_at(self._points, self._space)
+        speeds = wave_speed(self._points, self._declarations)
+        return smallest_height(self._points.grid) if sizes is None else sizes, speeds

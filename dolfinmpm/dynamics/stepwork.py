@@ -1,9 +1,9 @@
-"""Works in a step in time: of loads, contacts, boundaries, penalties and dashpots."""
+"""Works in a step in time: of loads, contacts, penalties and dashpots."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,12 @@ from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundarywork import forces_without_contact, has_walls, wall_forces
+from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.step import Step
 
 __all__ = [
     "MovingNodes",
@@ -36,14 +38,15 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class MovingNodes:
-    """The nodes of a field that moves points, at the start of a step.
+    """The nodes of a field that moves points, in a step.
 
     Attributes:
         k: Number of the field.
         tags: Tags of the points moved by the field, or None for all points.
         mass: Mass of the nodes.
         momenta: Momenta mapped from the points (kg m/s), shape (nodes, d).
-        V, A: Velocities (m/s) and accelerations (m/s²), shape (nodes, d).
+        V, A: Velocities (m/s) and accelerations (m/s²) at the start, shape (nodes, d).
+        motion: Motion up to the end of the step, as soon as it is known.
     """
 
     k: int
@@ -52,6 +55,7 @@ class MovingNodes:
     momenta: Array
     V: Array
     A: Array
+    motion: NodalMotion = field(init=False)
 
 
 def mean_contact_forces(operator: Operator) -> list[Array]:
@@ -77,7 +81,7 @@ def work_of_loads(
     operator: Operator,
     x: Array,
     scale: float,
-    moved: Sequence[tuple[MovingNodes, NodalMotion]],
+    nodes: Sequence[MovingNodes],
     dt: float,
     varying: bool,
 ) -> float:
@@ -90,7 +94,7 @@ def work_of_loads(
         operator: The step's equations, at their solution.
         x: Unknowns at the level of balance, shape (owned,).
         scale: Increments at the end over increments at the level of balance.
-        moved: The nodes that move points, and their motion.
+        nodes: The nodes that move points.
         dt: Length of the step (s).
         varying: Whether any load changes in the step.
     """
@@ -106,8 +110,8 @@ def work_of_loads(
     plain.move(x, scale)
     both = zip(start, forces_without_contact(plain), mean_contact_forces(operator))
     forces = [0.5 * (f + g) - push for f, g, push in both]
-    for one, motion in moved:
-        forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
+    for one in nodes:
+        forces[one.k] += (one.mass.times(one.motion.V_end).arrays[0] - one.momenta) / dt
     return plain.load_work() + plain.work_at_prescribed(forces)
 
 
@@ -116,8 +120,7 @@ def work_at_nodes(
     mass: Mass,
     forces: Nodal,
     motion: tuple[Array, Array, Array],
-    dt: float,
-    kick: float,
+    step: ExplicitStep,
 ) -> float:
     """Work of loads and of prescribed motions in an explicit step (J). Collective.
 
@@ -127,14 +130,14 @@ def work_at_nodes(
         forces: Forces on the nodes (N).
         motion: Velocities at the start and at the end of the step, and velocities by which the
             points move (m/s), shape (nodes, d).
-        dt, kick: Time during which points move, and time during which forces act (s).
+        step: The step.
     """
     V, V_end, V_move = motion
-    external = operator.load_work([dt * V_move])
+    external = operator.load_work([step.dt * V_move])
     here = operator.here
     if here.driven:
         # a prescribed motion changes the momentum of its nodes, against their forces
-        impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
+        impulse = mass.times(V_end - V).arrays[0] - step.kick * forces.arrays[0]
         at = here.unknowns.fields[0].places[1]
         done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
         external += mass.comm.allreduce(done, op=MPI.SUM)
@@ -142,19 +145,17 @@ def work_at_nodes(
 
 
 def energy_of_start(
-    mass: Mass, forces: Nodal, change: Array, here: Activation, dt: float, kick: float
+    mass: Mass, forces: Nodal, change: Array, here: Activation, kick: float
 ) -> float:
-    """Energy of the start of a run, see `dolfinmpm.dynamics.halfstep` (J). Collective.
+    """Energy of the step that begins a run, see `dolfinmpm.dynamics.energies` (J). Collective.
 
     Args:
         mass: Mass of the nodes.
         forces: Forces on the nodes (N).
         change: Change of their velocities in the step (m/s), shape (nodes, d).
         here: The activation.
-        dt, kick: Time during which points move, and time during which forces act (s).
+        kick: Time during which forces act (s).
     """
-    if 2.0 * kick != dt:
-        return 0.0
     own = here.unknowns.fields[0]
     done = np.where(own.fixed, 0.0, forces.arrays[0] * change)[own.owned_nodes]
     return mass.comm.allreduce(0.5 * kick * float(done.sum()), op=MPI.SUM)
@@ -178,7 +179,6 @@ def work_of_friction(mass: Mass, stopped: Array | None, u: Array, kick: float) -
 def add_work_of_nodes(
     work: Work,
     one: MovingNodes,
-    motion: NodalMotion,
     operator: Operator,
     share: float,
     expected: Array,
@@ -188,7 +188,7 @@ def add_work_of_nodes(
 
     Args:
         work: Sums to add to.
-        one, motion: The nodes, and their motion.
+        one: The nodes.
         operator: The step's equations, at their solution.
         share: Share of the penalties' forces in the step's mean forces.
         expected: Increments (m) that penalties on changes of the velocity do not resist, shape
@@ -198,7 +198,7 @@ def add_work_of_nodes(
     Returns:
         Energy taken by penalties on changes of the velocity (J).
     """
-    mass, losses, here = one.mass, work.losses, operator.here
+    mass, motion, losses, here = one.mass, one.motion, work.losses, operator.here
     found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
     work.grid += found[1][0] - found[0][0]
     losses["ghost mass"] += found[1][1] - found[0][1]
@@ -214,24 +214,18 @@ def add_work_of_nodes(
     return stored
 
 
-def work_of_waves(
-    waves: Any,
-    times: tuple[float, float],
-    one: MovingNodes,
-    motion: NodalMotion,
-    operator: Operator,
-) -> float:
+def work_of_waves(faces: Any, step: Step, one: MovingNodes, operator: Operator) -> float:
     """Work of waves that come in through absorbing sides in a step (J). Collective.
 
     Args:
-        waves: The waves, see `IncomingWaves`.
-        times: Start and end of the step (s).
-        one, motion: The nodes, and their motion.
+        faces: The sides, see `Faces`.
+        step: The step.
+        one: The nodes.
         operator: The step's equations, at their solution.
     """
-    mean = 0.5 * (waves.forces(times[0]) + waves.forces(times[1]))
-    assert motion.u is not None
-    done = _sum_where_free(mean * motion.u, operator.here, one.k)
+    mean, u = 0.5 * (faces.wave_forces(step.start) + faces.wave_forces(step.t)), one.motion.u
+    assert u is not None
+    done = _sum_where_free(mean * u, operator.here, one.k)
     return one.mass.comm.allreduce(done, op=MPI.SUM)
 
 

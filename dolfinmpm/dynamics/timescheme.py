@@ -7,7 +7,7 @@ f is the quasi-static form, the rule gives the acceleration a_α for w, and the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
@@ -25,13 +25,12 @@ from dolfinmpm.dynamics.clock import (
     end_of_step,
     mean_increment,
     open_time,
+    set_velocities,
+    velocities_at,
 )
 from dolfinmpm.dynamics.energybounds import SHORTEST
-from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.gridmotion import GridMotion
-from dolfinmpm.dynamics.inertiaterm import Inertia
-from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.newmarkrule import NewmarkRule
+from dolfinmpm.dynamics.inertia import Inertia, NewmarkRule
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.declarations import rows_within
@@ -42,7 +41,7 @@ from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["NewmarkScheme", "StepClock", "TimedScheme"]
+__all__ = ["NewmarkScheme", "TimedScheme"]
 
 Array = npt.NDArray[np.float64]
 
@@ -183,7 +182,7 @@ class NewmarkScheme(TimedScheme):
         self.rule, self.ties_movers, self.jumped = rule, ties_movers, False
 
     @property
-    def means(self) -> MeanForceWeights:
+    def mean_weights(self) -> MeanForceWeights:
         """Weights of contact forces in the mean over a step."""
         rule = self.rule
         return MeanForceWeights(
@@ -218,7 +217,9 @@ class NewmarkScheme(TimedScheme):
         problem.bodies.begin(step.dt)
         here = problem.activate(step)
         self._load_at(problem, step, 0.0)
-        motion.to_grid(here, problem.form, step.t, step.dt, self._rates(problem, here, step))
+        scale = step.dt / step.share
+        rates = velocities_at(problem, here, step, lambda v: v(step.start) * scale)
+        motion.to_grid(here, problem.form, step, rates)
         self._load_at(problem, step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             bases = [field.basis for field in here.fields]
@@ -232,7 +233,7 @@ class NewmarkScheme(TimedScheme):
         points.inertia.value = factor
         self._carry_accelerations(problem, here, known)
         more: list[ActiveTerm] = [Inertia(here, masses, factor, known, expected)]
-        dashpots = motion.dashpots(here, step.dt)
+        dashpots = motion.dashpots(here)
         return Operator(problem.form, here, more if dashpots is None else [*more, dashpots])
 
     def _carry_accelerations(
@@ -257,21 +258,8 @@ class NewmarkScheme(TimedScheme):
         if isinstance(solver, Bordered) and isinstance(solver.border, FreeBodies):
             solver.border.inertial = Inertial(
                 rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f,
-                weight=self.means.weight,
+                weight=self.mean_weights.weight,
             )  # fmt: skip
-
-    def _rates(self, problem: Any, here: Activation, step: Step) -> list[Array]:
-        """Velocities of prescribed components at the start of a step (m/s), per field. Collective.
-
-        They are the prescribed velocities, and prescribed increments over the step's length.
-        """
-        if not any(condition.velocity for condition in problem.bcs):
-            return [np.asarray(g / step.dt, np.float64) for g in here.prescribed]
-        bases, scale = [field.basis for field in here.fields], step.dt / step.share
-        set_velocities(problem.bcs, lambda v: v(step.t - step.dt) * scale)
-        values = problem.held.at(bases, step.share)[1]
-        set_velocities(problem.bcs, lambda v: mean_increment(v, step))
-        return [np.asarray(g / step.dt, np.float64) for g in values]
 
     def count(self, work: float) -> None:
         """See `Static`."""
@@ -293,24 +281,22 @@ class NewmarkScheme(TimedScheme):
         if isinstance(state, str):
             return state
         self._load_at(problem, step, 1.0)
-        held_work, _ = works_of_boundaries(operator, motion.held_at_start, state)
+        boundary_work, _ = works_of_boundaries(operator, motion.boundary_forces, state)
         self._load_at(problem, step, 0.5)
         may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings
-        motions = motion.ends(operator, step.dt)
-        reason, largest = self._judge(motions, operator.here, step.dt)
+        motion.end(operator)
+        reason, largest = self._judge(operator.here, step.dt)
         if reason is None:
-            reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
+            reason = motion.to_points(operator, state, x, scale, may_halve)
         if reason is None:
-            self.count(held_work)
+            self.count(boundary_work)
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
 
-    def _judge(
-        self, motions: Sequence[NodalMotion], here: Activation, dt: float
-    ) -> tuple[str | None, float]:
+    def _judge(self, here: Activation, dt: float) -> tuple[str | None, float]:
         """Bound the error of a step's displacement, and choose the next length. Collective.
 
         Returns:
@@ -318,7 +304,7 @@ class NewmarkScheme(TimedScheme):
         """
         if self.error is None:
             return None, 0.0
-        clock, (found, largest) = self.clock, self.motion.errors(motions, here, dt)
+        clock, (found, largest) = self.clock, self.motion.errors(here)
         reason = clock.judge(dt, found, self.error * max(clock.largest, largest), 3)
         return reason, float(largest)
 

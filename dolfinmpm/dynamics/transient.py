@@ -21,8 +21,9 @@ from dolfinmpm.dynamics.clock import (
     MotionRecord,
     check_clock,
     mean_increment,
+    set_velocities,
 )
-from dolfinmpm.dynamics.faces import set_velocities, split_conditions
+from dolfinmpm.dynamics.faces import split_conditions
 from dolfinmpm.dynamics.timescheme import TimedScheme
 from dolfinmpm.solve.arguments import check_points
 from dolfinmpm.solve.newstate import new_state

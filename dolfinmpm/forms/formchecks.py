@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_arguments, extract_coefficients
 from ufl.algorithms.analysis import extract_constants
-from ufl.classes import ComplexValue, Division, Product, ScalarValue
+from ufl.classes import ComplexValue, Division, Product, ScalarValue, Zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
@@ -24,7 +24,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import PointOperator
-from dolfinmpm.forms.termqueries import brief, depends_on, term_of
+from dolfinmpm.forms.termqueries import brief, depends_on, summands, term_of
 from dolfinmpm.forms.weightchecks import check_weights
 
 __all__ = [
@@ -202,7 +202,7 @@ def check_explicit(form: ufl.Form, increment: Any, points: MaterialPoints) -> No
 
     Raises:
         FormError: The form has rates, or a term over cells or facets of the grid depends on the
-            increment.
+            increment, or a term over the points is 0 for an increment of 0.
     """
     where = "increments are 0 where explicit steps find their forces"
     if points.dt in extract_constants(form):
@@ -218,6 +218,24 @@ def check_explicit(form: ufl.Form, increment: Any, points: MaterialPoints) -> No
                 f"and {where}, so that it would do nothing; take Newmark, or for cut cells "
                 'stabilisation="ghost" or "aggregation"'
             )
+        if integral.integral_type() == "custom" and term_of(integral) is None:
+            _refuse_without_force(integral, increment, where)
+
+
+def _refuse_without_force(integral: Any, increment: Any, where: str) -> None:
+    """Raise FormError if a term over points depends on the increment, and is 0 without it."""
+    if not any(c is increment for c in extract_coefficients(integral.integrand())):
+        return
+    none = {increment: ufl.zero(increment.ufl_shape)}
+    for own in expand_derivatives(ufl.Form([integral])).integrals():
+        for term in summands(own.integrand()):
+            depends = any(c is increment for c in extract_coefficients(term))
+            if depends and isinstance(ufl.replace(term, none), Zero):
+                raise FormError(
+                    f"the term '{brief(term)}' over the points is 0 without the increment, and "
+                    f"{where}, so that it would do nothing; state the force by fields of the "
+                    "points, such as points.x - points.x0, or take Newmark"
+                )
 
 
 def check_moving(laws: Sequence[Declaration], increments: Sequence[Any]) -> None:

@@ -1,4 +1,4 @@
-"""Calls of users' functions of positions, in one layout of the positions.
+"""Calls of users' functions: of positions, in one layout of the positions, and of time.
 
 Arrays of positions have shape (points, gdim), one row per point, wherever they are given or
 returned.
@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import cut, floats, shown
+from dolfinmpm._platform.argumentchecks import at_time, cut, floats, number, shown
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
-__all__ = ["call_function", "choose"]
+__all__ = ["VelocityByTime", "call_function", "choose"]
 
 Array = npt.NDArray[np.float64]
 
@@ -96,3 +96,40 @@ def choose(what: str, function: Callable[[Array], Any], x: Array) -> npt.NDArray
             f"{values.dtype} of shape {values.shape}; compare coordinates, as in x[0] < 1"
         )
     return values
+
+
+class VelocityByTime:
+    """A velocity as a function of time; every value is checked.
+
+    Args:
+        name: Name of the argument in messages.
+        given: A function of the time (s) that returns a velocity (m/s), or a number (m/s).
+    """
+
+    def __init__(self, name: str, given: Any):
+        self._name, self._given = name, given
+
+    @staticmethod
+    def of(name: str, given: Any) -> VelocityByTime:
+        """A given velocity as it is, or one of a function or a number."""
+        return given if isinstance(given, VelocityByTime) else VelocityByTime(name, given)
+
+    def __call__(self, t: float) -> float:
+        """Velocity at time t (m/s)."""
+        return number(self._name, at_time(self._name, self._given, t), unit="m/s")
+
+    def mean_velocity(self, start: float, end: float) -> float:
+        """Mean of the velocities at both ends of a step (m/s).
+
+        Args:
+            start, end: Times (s).
+        """
+        self.check_step(start, end)
+        return 0.5 * (self(start) + self(end))
+
+    def check_step(self, start: float, end: float) -> None:
+        """Warn if a step misses too much of the velocity in it. A function cannot tell.
+
+        Args:
+            start, end: Times (s).
+        """

@@ -33,8 +33,6 @@ from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, c
 from dolfinmpm.forms.termqueries import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.lawterms import momentum
-from dolfinmpm.porous.alphalevel import Level
-from dolfinmpm.porous.deformation import Kinematics, kinematics
 from dolfinmpm.porous.fluid import Fluid, refuse_hollow, refuse_light
 from dolfinmpm.porous.mixturearguments import (
     first_porosity,
@@ -47,6 +45,7 @@ from dolfinmpm.porous.mixturearguments import (
     time_weights,
     unknowns,
 )
+from dolfinmpm.porous.mixturestep import Kinematics, Level, kinematics
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
 from dolfinmpm.porous.waterboundaries import (
     Flow,
@@ -120,7 +119,7 @@ def poromechanics(
         theta: Weight of the flow at the end of the step: 1 is backward Euler, ½ is Crank-Nicolson.
         rho_inf: ρ∞ of `GeneralisedAlpha`; give both the same number. The balance of the water's
             volume then uses the generalised-α method for first-order equations, at the level at
-            which forces balance; see `dolfinmpm.porous.alphalevel`. None for all other problems.
+            which forces balance; see `dolfinmpm.porous.mixturestep`. None for all other problems.
         inertia: Whether the water is accelerated together with the soil. Darcy's law is then
             w = −(k/γ_w)(∇p − ρ_w (b − a)), with the acceleration a of the soil. The acceleration
             of the water relative to the soil is left out (Zienkiewicz, Chang & Bettess 1980,

@@ -15,8 +15,8 @@ from dolfinmpm.body.formarguments import check_displacement, check_increment, ch
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.materials.base import lame
-from dolfinmpm.porous.alphalevel import Level
 from dolfinmpm.porous.fluid import Fluid
+from dolfinmpm.porous.mixturestep import Level
 
 __all__ = [
     "first_porosity", "fluid_of", "gravity_of", "modulus_of", "permeability_of", "porosity_of",

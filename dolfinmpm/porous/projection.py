@@ -38,7 +38,7 @@ from dolfinmpm.forms.carriedfields import CellOffset
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import mean_size
 
-__all__ = ["factor_of", "largest", "projected", "size_of", "unstable"]
+__all__ = ["factor_of", "largest", "projected", "size_of"]
 
 PROJECTIONS = ("auto", "none")
 # f for displacements on the pressure's cells, by their degree. Each is the least f with which a

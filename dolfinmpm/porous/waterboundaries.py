@@ -14,7 +14,7 @@ from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.porous.deformation import Kinematics
+from dolfinmpm.porous.mixturestep import Kinematics
 from dolfinmpm.porous.projection import largest, size_of
 
 __all__ = ["Flow", "prescribed_inflow", "prescribed_pressure", "seepage_face", "surfaces"]

@@ -144,7 +144,7 @@ class Problem(ReadOnce):
         refuse_held_faces(form, self.form)
         check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
         rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
-        self.bodies = RigidBodies(rigid, points.grid)
+        self.bodies = RigidBodies(rigid)
         self.bodies.check_steps(scheme.in_time, type(self).__name__)
         check_kinds_of_conditions(bcs, spaces, self.form.parts.carried)
         if not scheme.inertia:

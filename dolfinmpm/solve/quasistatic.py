@@ -330,7 +330,7 @@ class QuasiStatic(Problem):
         raise_together(self.comm, self.points.fault())
         petscgarbage.free(self.comm)
         self._record.migrated += balance(self.points)
-        fault = self.bodies.fault(step.dt, self.scheme.inertia)
+        fault = self.bodies.too_fast(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")
 
     def _count(self, outcome: Outcome) -> None:

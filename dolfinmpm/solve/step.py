@@ -24,6 +24,11 @@ class Step:
     dt: float = 1.0
     share: float = 1.0
 
+    @property
+    def start(self) -> float:
+        """Start of the step, in the unit of t."""
+        return self.t - self.dt
+
 
 @dataclass(frozen=True)
 class Failed:

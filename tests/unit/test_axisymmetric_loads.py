@@ -15,7 +15,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
 )
 from dolfinmpm.assembly.stencilsums import add_product
-from dolfinmpm.dynamics.faces import Faces
+from dolfinmpm.dynamics.facesatnodes import Faces
 
 
 def test_the_gradient_of_a_scalar_is_the_same_all_around():

@@ -10,8 +10,8 @@ from contactscenes import compressed
 from dolfinx import fem
 
 import dolfinmpm as mpm
+from dolfinmpm.contact.bodymotion import Pose, rotation_of
 from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS, contact_forces
-from dolfinmpm.contact.pose import Pose, rotation_of
 from dolfinmpm.contact.shapesurface import surface_of
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.freebodies import FreeBodies

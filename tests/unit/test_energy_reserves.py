@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm.contact.contactlaw import explicit_reduction
-from dolfinmpm.contact.storedenergy import bounding_multipliers, normal_energy
+from dolfinmpm.contact.meanforces import bounding_multipliers, normal_energy
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.ledger import Work
 

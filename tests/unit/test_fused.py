@@ -11,8 +11,8 @@ from dolfinx import fem, mesh
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import InstabilityError
 from dolfinmpm.dynamics import fusedloop
-from dolfinmpm.dynamics.fusedneohookean import stored_energy
 from dolfinmpm.dynamics.passes import LAW, PASSES
+from dolfinmpm.dynamics.pointarrays import stored_energy
 from dolfinmpm.materials import CamClay, Hencky, MohrCoulomb, NeoHookean, VonMises
 
 LONG = pytest.mark.long

@@ -15,7 +15,7 @@ from scenes import disc
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm.dynamics.newmarkrule import NewmarkRule
+from dolfinmpm.dynamics.inertia import NewmarkRule
 
 QUADRILATERAL = mesh.CellType.quadrilateral
 RULES = [

@@ -13,7 +13,7 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm.cut.activation import Activation, ActiveField
-from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.explicitbase import Settings
 from dolfinmpm.solve.newton import Outcome
 
 ROOT = Path(mpm.__file__).parent

@@ -12,7 +12,7 @@ from conftest import COMM
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import MissingPackageError, ParameterError
-from dolfinmpm.contact.surfacemesh import mesh_surface
+from dolfinmpm.contact.shapesurface import mesh_surface
 
 
 def hills(seed=1, shape=(6, 8)):

@@ -1,12 +1,15 @@
-"""The free motion of a rigid body: its mass, loads, velocity, and increments.
+"""Motion of a rigid body: its pose, prescribed components, and free components with mass and loads.
 
 The motion in a step has one component per direction and per rotation: (u_x, u_y, θ) in 2D,
-(u_x, u_y, u_z, θ_x, θ_y, θ_z) in 3D. Components that are not free follow the prescribed motion.
+(u_x, u_y, u_z, θ_x, θ_y, θ_z) in 3D. Components that are not free follow the prescribed motion: in
+total, per step, or per second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +18,196 @@ from dolfinx import fem
 
 from dolfinmpm._platform.argumentchecks import at_time, coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.pose import Pose
+from dolfinmpm.grid.constants import begin_at_zero
 
-__all__ = ["FreeMotion", "vector"]
+__all__ = [
+    "FreeMotion",
+    "Motion",
+    "Pose",
+    "PrescribedMotion",
+    "first_rate",
+    "rotation_of",
+    "vector",
+]
 
 Array = npt.NDArray[np.float64]
+
+
+def rotation_of(turn: Array, gdim: int) -> Array:
+    """Matrix of a rotation, shape (gdim, gdim).
+
+    Args:
+        turn: Angle (rad), shape (1,), in 2D, or the rotation vector (rad), shape (3,).
+        gdim: Dimension of space.
+    """
+    if gdim < 3:
+        c, s = math.cos(turn[0]), math.sin(turn[0])
+        return np.array([[c, -s], [s, c]])
+    angle = float(np.linalg.norm(turn))
+    W = np.array([[0, -turn[2], turn[1]], [turn[2], 0, -turn[0]], [-turn[1], turn[0], 0]])
+    if angle < 1e-8:
+        return np.eye(3) + W + 0.5 * W @ W
+    # Rodrigues
+    half = math.sin(0.5 * angle) / (0.5 * angle)
+    return np.eye(3) + math.sin(angle) / angle * W + 0.5 * half**2 * W @ W
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position and rotation of a body.
+
+    Attributes:
+        origin: Initial position of the centre of rotation (m), shape (gdim,).
+        shift: Translation of the centre since then (m), shape (gdim,).
+        rotation: Rotation matrix since then, shape (gdim, gdim).
+        turn: Angle since then (rad), shape (1,), in 2D, with whole turns; in 3D the sum of all
+            small rotations, shape (3,).
+    """
+
+    origin: Array
+    shift: Array
+    rotation: Array
+    turn: Array
+
+    @staticmethod
+    def first(origin: Array) -> Pose:
+        """The pose of a body that has not moved."""
+        d = len(origin)
+        return Pose(origin, np.zeros(d), np.eye(d), np.zeros(1 if d < 3 else 3))
+
+    @property
+    def centre(self) -> Array:
+        """Present position of the centre (m), shape (gdim,)."""
+        return self.origin + self.shift
+
+    def moved(self, shift: Array, turn: Array) -> Pose:
+        """The pose after a further motion.
+
+        Args:
+            shift: Translation of the centre (m), shape (gdim,).
+            turn: Rotation about the centre (rad), shape (1,), in 3D (3,).
+        """
+        rotation = self.rotation
+        if turn.any():
+            rotation = rotation_of(turn, len(shift)) @ rotation
+        return replace(self, shift=self.shift + shift, rotation=rotation, turn=self.turn + turn)
+
+    def back(self, x: Array) -> Array:
+        """Initial positions of points of the body (m) from present ones, shape (n, gdim)."""
+        return self.origin + (x - self.centre) @ self.rotation
+
+    def forth(self, x: Array) -> Array:
+        """Present positions of points of the body (m) from initial ones, shape (..., gdim)."""
+        return self.centre + (x - self.origin) @ self.rotation.T
+
+    def directions(self, v: Array) -> Array:
+        """Present directions of vectors fixed to the body, shape (..., gdim)."""
+        return v @ self.rotation.T
+
+
+Motion = Callable[[float], Any]
+
+
+class PrescribedMotion:
+    """One prescribed motion, a displacement or a rotation.
+
+    Args:
+        size: Number of its components.
+        motions: Name → total motion, velocity, and increment per step, in this order. Only one
+            may be given: a function of time (s; steps), or a DOLFINx constant for the total
+            motion, or numbers for velocity and increment.
+
+    Attributes:
+        size: The argument.
+        name: Name of the given motion, or "".
+        kind: "total", "velocity" or "increment"; "" for a body at rest.
+        given: The total motion, or None.
+        rate: The velocity or the increment per step, or None.
+        absolute: Whether a rotation is a rotation vector in total.
+        unit: Unit of the given numbers, in m or rad.
+        until: Time at which a constant is to have its value, at the end of several steps (s); by
+            default the end of each step.
+
+    Raises:
+        ParameterError: Two motions are given, or a motion has the wrong type or value.
+    """
+
+    unit, until = 1.0, -math.inf
+
+    def __init__(self, size: int, **motions: Any):
+        kinds = dict(zip(motions, ("total", "velocity", "increment")))
+        given_motions = {name: motion for name, motion in motions.items() if motion is not None}
+        if len(given_motions) > 1:
+            raise ParameterError(
+                f"{' and '.join(given_motions)} are given at once; give only one of them"
+            )
+        name, motion = next(iter(given_motions.items()), ("", None))
+        self.size, self.name, self.kind, self.absolute = size, name, kinds.get(name, ""), False
+        given, rate = (motion, None) if self.kind == "total" else (None, motion)
+        self.given: Any = given
+        self.rate: Any = rate
+        self._first: Array = np.zeros(size)
+        self._step: Array = np.zeros(size)
+        self._dt = 1.0
+        if isinstance(given, fem.Constant):
+            if given.value.size != size:
+                raise ParameterError(
+                    f"{name} has {given.value.size} components and must have {size}"
+                )
+            begin_at_zero(name, given)
+        elif given is not None:
+            if not callable(given):
+                raise ParameterError(
+                    f"{name} = {shown(given)} must be a function of time or a dolfinx.fem.Constant"
+                )
+            self._first = self.value(given, 0.0)
+        elif rate is not None and not callable(rate):
+            constant: Array = vector(name, rate, size)
+            self.rate = lambda t: constant
+        if callable(self.rate):
+            self.value(self.rate, 0.0)
+
+    def check_start(self) -> None:
+        """Raise ParameterError if the total motion is not zero at t = 0."""
+        if self._first.any():
+            raise ParameterError(
+                f"{self.name}(0) = {shown(self._first)} must be 0: it is the motion of the body "
+                "since it was made; make the shape at the body's initial position"
+            )
+
+    def value(self, function: Motion, t: float) -> Array:
+        """Value of a function of time at t, shape (size,)."""
+        answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))
+        return vector(f"{self.name}({t:g})", answer, self.size)
+
+    def begin(self, start: Array, t: float, dt: float) -> None:
+        """Begin a substep of length dt at t: read the value of a constant.
+
+        Later in the substep, solvers set constants to their values at the time of the balance.
+        """
+        if isinstance(self.given, fem.Constant):
+            self._step = self.unit * np.array(self.given.value, float).ravel() - start
+            self._step *= dt / max(self.until - t, dt)
+            self._dt = dt
+
+    def change(self, start: Array, t: float, dt: float) -> Array:
+        """Change from the start of a substep, at t, to dt later; start is the motion so far."""
+        if isinstance(self.given, fem.Constant):
+            return np.asarray(dt / self._dt * self._step)
+        if self.given is not None:
+            return self.unit * (self.value(self.given, t + dt) - self._first) - start
+        if self.rate is None or dt == 0.0:
+            return np.zeros(self.size)
+        first, middle, last = (self.value(self.rate, t + s * dt) for s in (0.0, 0.5, 1.0))
+        # Simpson's rule
+        return np.asarray(self.unit * dt / 6 * (first + 4 * middle + last))
+
+
+def first_rate(motion: PrescribedMotion) -> Array:
+    """Initial velocity, or first increment; zero if neither is given."""
+    if motion.rate is None:
+        return np.zeros(motion.size)
+    return motion.unit * motion.value(motion.rate, 0.0)
 
 
 class FreeMotion:
@@ -198,13 +386,3 @@ def vector(what: str, given: Any, size: int) -> Array:
     if values.shape != (size,) or not np.isfinite(values).all():
         raise ParameterError(f"{what} = {shown(given)} must be {size} finite numbers")
     return values
-
-
-def cross_matrix(arms: Array) -> Array:
-    """S with S(a) f = a × f, shape (n, 1, 2) of arms in 2D, (n, 3, 3) in 3D."""
-    if arms.shape[1] == 2:
-        return np.stack([-arms[:, 1], arms[:, 0]], axis=1)[:, None]
-    S = np.zeros((len(arms), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -arms[:, 2], arms[:, 1], -arms[:, 0]
-    S[:, 1, 0], S[:, 2, 0], S[:, 2, 1] = arms[:, 2], -arms[:, 1], arms[:, 0]
-    return S
