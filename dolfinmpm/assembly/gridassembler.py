@@ -243,6 +243,11 @@ class GridAssembler:
         return [*self._external.values(), *self._internal.values()]
 
     @property
+    def has_vectors(self) -> bool:
+        """Whether terms give forces, and not only constant blocks of the tangent."""
+        return bool(self._external or self._internal)
+
+    @property
     def loads(self) -> list[fem.Constant | fem.Function]:
         """DOLFINx constants and functions in the terms."""
         every = [*self._vectors, *(self._jacobian or {}).values()]

@@ -81,15 +81,15 @@ def new_state(
     if moves:
         bad = _move(operator, new, x)
     operator.update_contact()
-    for term in operator.terms:
+    for term in operator.others:
         term.update(state)
     finite = all(np.isfinite(values).all() for values in new.values())
     if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
         if bad.size:
             evaluation.blame(int(bad[0]))
         return "a material point's state is not finite or its volume not positive"
-    for term in operator.terms:
-        reason = term.fault(state)
+    for contact in operator.contacts:
+        reason = contact.fault(state)
         if reason is not None:
             return reason
     if not moves:
@@ -102,7 +102,7 @@ def new_state(
             # Newton's method may find an equilibrium beyond a singular state
             return "material points would be thrown out of the grid, further than a cell"
         raise_together(comm, _outside(points, new["x"], lost, number))
-    for term in operator.terms:
+    for term in operator.others:
         term.follow(state, number)
     return state
 

@@ -15,12 +15,12 @@ from petsc4py import PETSc
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.assembly.term import ActiveTerm, Term
+from dolfinmpm.contact.contactpoints import ActiveContact
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.merging import merged
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.solve.weakform import WeakForm
-from dolfinmpm.terms.gridterm import StepBlocks
 
 __all__ = ["Operator", "Residual"]
 
@@ -60,8 +60,11 @@ class Operator:
 
     Attributes:
         form, here: The arguments.
-        terms: All terms.
         points: The terms of the points.
+        others: All other terms.
+        terms: All terms, the points first.
+        contacts: The contacts among them.
+        soft: Blocks of soft stiffness: they are in the matrix, and not in the forces.
         loads: External forces of loads (N), shape (nodes, components) per field.
     """
 
@@ -69,9 +72,12 @@ class Operator:
     def __init__(self, form: WeakForm, here: Activation, more: Sequence[ActiveTerm] = ()):
         self.form, self.here = form, here
         self.points, self._active = form.on(here)
+        self._more = more
+        self.others: list[ActiveTerm] = [*self._active.values(), *more]
+        self.terms: list[ActiveTerm] = [self.points, *self.others]
+        self.contacts = [term for term in self.others if isinstance(term, ActiveContact)]
         # the activation holds the constant blocks of its own form only
-        steady = [StepBlocks(here)] if here.terms is form else []
-        self.terms: list[ActiveTerm] = [self.points, *self._active.values(), *steady, *more]
+        self.soft: list[Blocks] = here.blocks_of("soft") if here.terms is form else []
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
         self.loads: Sequence[Array] = ()
@@ -216,8 +222,8 @@ class Operator:
         here, out = self.here, self._force
         here.unknowns.clear(out)
         every = [term for term in self.terms if term.kind not in without]
-        for term in every:
-            term.touch(self._u.arrays, self._scale)
+        if "contact" not in without:
+            self.update_contact()
         for term in every:
             if not term.internal(out.arrays):
                 self._set_nan(out)
@@ -234,13 +240,13 @@ class Operator:
 
     def update_contact(self) -> None:
         """Find the forces of contact at the present increments."""
-        for term in self.terms:
-            term.touch(self._u.arrays, self._scale)
+        for contact in self.contacts:
+            contact.touch(self._u.arrays, self._scale)
 
     @property
     def has_rigid_contact(self) -> bool:
         """Whether a term is contact with a rigid body."""
-        return any(term.pushes for term in self.terms)
+        return any(contact.pushes for contact in self.contacts)
 
     def has(self, kind: str) -> bool:
         """Whether a term has this kind, see `ActiveTerm`."""
@@ -344,13 +350,13 @@ class Operator:
 
     @functools.cached_property
     def _constant(self) -> list[Blocks]:
-        """Blocks of constant stiffness, merged to one block per pair of fields."""
-        return merged([b for term in self.terms for b in term.stiffness])
-
-    @functools.cached_property
-    def soft(self) -> list[Blocks]:
-        """Blocks of soft stiffness: they are in the matrix, and not in the forces."""
-        return [b for term in self.terms for b in term.soft]
+        """Blocks of constant stiffness, one per pair of fields."""
+        here = self.here
+        blocks = [b for term in self._active.values() for b in term.stiffness]
+        if here.terms is self.form:
+            blocks += [*here.blocks_of("stiffness"), *here.blocks_of("penalty")]
+        blocks += [b for term in self._more for b in term.stiffness]
+        return blocks if len(blocks) < 2 else merged(blocks)
 
     @stages.assemble
     def tangent(self, matrix: Matrix) -> None:

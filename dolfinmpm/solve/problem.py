@@ -328,7 +328,8 @@ class Problem(ReadOnce):
             refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
         check_field_tags(self.fields, self.form)
-        self.form.place()
+        for boundary in self.form.boundaries:
+            boundary.place()
         self.held.follow()
         first, kept, self.kept = self.here is None, self.kept, None
         self.here = activate(

@@ -299,8 +299,8 @@ class QuasiStatic(Problem):
         ease(operator, release)
         self._record.unknowns = operator.here.unknowns.total
         self.newton.guess.length = step.dt
-        for term in operator.terms:
-            term.clings = True
+        for contact in operator.contacts:
+            contact.clings = True
         # multipliers of contact bound the penetration: they change between solutions
         for _ in range(_MOST_AUGMENTATIONS):
             with stages.solve:
@@ -308,7 +308,7 @@ class QuasiStatic(Problem):
             self._count(outcome)
             if outcome.reason is not None:
                 break
-            augmented = [term.augment() for term in operator.terms]
+            augmented = [contact.augment() for contact in operator.contacts]
             if not any(augmented):
                 break
         else:
@@ -348,8 +348,8 @@ class QuasiStatic(Problem):
         points, record = self.points, self._record
         self.scheme.count(self.bodies.commit(self.bodies.acting(operator)))
         record.bodies = {}
-        for term in operator.terms:
-            record.bodies |= term.record()
+        for contact in operator.contacts:
+            record.bodies |= contact.record()
         record.migrated += commit(points, state)
         record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
         with stages.commit:

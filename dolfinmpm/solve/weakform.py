@@ -183,11 +183,6 @@ class WeakForm:
             out[declaration.rows] = declaration.elastic.moduli()
         return out
 
-    def place(self) -> None:
-        """Prepare the terms for an activation. Collective."""
-        for term in self.terms:
-            term.place()
-
     def set_penalties(self, here: Activation, ghost: bool = True) -> None:
         """Set the penalties of weak conditions on an activation. Collective.
 

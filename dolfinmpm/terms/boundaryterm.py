@@ -73,10 +73,7 @@ class BoundaryTerm(Term):
             declaration.bind()
 
     def place(self) -> None:
-        """Bring markers to the ranks of their cells, with the state of the nearest points.
-
-        Collective.
-        """
+        """Bring markers, and the state of nearest points, to the ranks of their cells. Collective."""
         markers, points = self.markers, self.boundary.points
         if markers.partition is not points.partition:
             markers.partition = points.partition
