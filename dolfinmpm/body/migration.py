@@ -9,7 +9,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import Destinations, cells_here
-from dolfinmpm.grid.graded import times_regridded
+from dolfinmpm.grid.lattice import times_regridded
 
 __all__ = ["migrate", "settle"]
 

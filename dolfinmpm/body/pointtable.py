@@ -302,7 +302,7 @@ class PointTable:
             configuration: "updated" for present positions, "total" for first positions.
         """
         x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
-        size = section(self, volume, x)
+        size = section(self, volume, x) if self.axisymmetric else self[volume]
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
     @collective

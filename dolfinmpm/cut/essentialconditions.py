@@ -80,6 +80,7 @@ class EssentialConditions:
     Attributes:
         conditions: The conditions.
         changing: Whether prescribed values may differ from zero in some step.
+        follows: Whether some condition's nodes may change.
 
     Raises:
         ConflictingConditionsError: Two conditions prescribe different values of a component.
@@ -91,20 +92,16 @@ class EssentialConditions:
         comm = spaces[0].grid.comm
         changing = any(condition.changes for condition in conditions)
         self.changing: bool = comm.allreduce(changing, op=MPI.LOR)
+        self.follows = any(condition.place is not None for condition in conditions)
         self._fixed: dict[tuple[Basis, ...], list[Flags]] = {}
         self._still: dict[tuple[Basis, ...], list[Array]] = {}
         self.at([space.basis for space in spaces], 1.0)
-
-    @property
-    def follows(self) -> bool:
-        """Whether some condition's nodes may change."""
-        return any(condition.place is not None for condition in self.conditions)
 
     def follow(self) -> None:
         """Move conditions to the present positions of their places. Collective."""
         now = [condition.now() for condition in self.conditions]
         # on leaves the places choose other nodes than on the grid
-        leaves = self.follows and any(space.refinement is not None for space in self._spaces)
+        leaves = any(space.refinement is not None for space in self._spaces)
         if leaves or any(a is not b for a, b in zip(now, self.conditions)):
             self.conditions[:] = now
             self._fixed.clear()

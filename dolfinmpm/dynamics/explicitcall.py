@@ -7,8 +7,9 @@ import time as clock
 from collections.abc import Set
 from typing import Any
 
-from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
+from dolfinmpm._platform.garbagecollector import free_petsc
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.resultfields import overwritten, seal_results, unseal_results
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time
@@ -105,7 +106,8 @@ class ExplicitCall:
     def _check_and_copy(self, touched: Set[str]) -> None:
         """Check the energy balance, and copy the state if a copy is due. Collective."""
         problem, parts = self._problem, self._record.parts
-        petscgarbage.free(problem.comm)
+        if problem.comm.size > 1:
+            free_petsc(problem.comm)
         if parts or touched & _KINETIC:
             self._check_energy(begins=parts == 0)
         if parts % _COPY_EVERY == 0:

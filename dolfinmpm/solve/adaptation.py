@@ -15,7 +15,6 @@ from dolfinmpm.basis.refinement import Refinement
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.pointfamilies import FamilyChange, families, merge, split
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import movers
 
 if TYPE_CHECKING:
     from dolfinmpm.solve.problem import Problem
@@ -52,8 +51,7 @@ class Adaptation:
 
 def adapt(problem: Problem) -> Adaptation:
     """Let leaves and points follow the sizes wanted now; see `Problem.adapt`. Collective."""
-    spaces = [problem.form.spaces[k] for k in movers(problem.form.spaces)]
-    spaces = [s for s in spaces if s.refinement is not None and s.per_cell is not None]
+    spaces = problem.adaptive
     if not spaces:
         return Adaptation()
     points, number, joined, energies = problem.points, 0, 0, np.zeros(2)

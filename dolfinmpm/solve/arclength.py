@@ -272,7 +272,8 @@ class ArcLength(QuasiStatic):
 
         After an error the state and the load are those of the last step.
         """
-        refuse_time(t, type(self).__name__)
+        if t is not None:
+            refuse_time(t, type(self).__name__)
         raise_together(self.comm, self.path.load.fault())
         started, watch = time.perf_counter(), stages.Watch()
         self._record = record = ArcRecord()

@@ -38,8 +38,6 @@ def begins_unbalanced(problem: Any, residuals: Sequence[float]) -> bool:
 
 def ease(operator: Operator, share: float) -> None:
     """Leave the forces that are out of balance at rest so, but for a share. Collective."""
-    if share == 1.0:
-        return
     operator.move_to_zero()
     for mine, force in zip(operator.external, operator.forces()):
         mine -= (1.0 - share) * force

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.body.axisymmetry import deformation, in_section
+from dolfinmpm.body.axisymmetry import full_gradient, in_section
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import destinations
@@ -120,8 +120,9 @@ def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDA
     """
     points, here = operator.form.points, operator.here
     u, gradient = operator.points.motion(here.movers)
-    dF = deformation(points, u, gradient)
-    new["F"], J = products(np.ascontiguousarray(dF), points["F"])
+    if points.axisymmetric:
+        gradient = full_gradient(points, u, gradient)
+    new["F"], J = products(gradient + np.eye(points.strain_dim), points["F"])
     bad = np.flatnonzero(~(J > 0))
     for declaration in operator.form.parts.declarations:
         if declaration.fbar == VOLUMES and not bad.size:
@@ -148,7 +149,11 @@ def commit(points: MaterialPoints, state: NewState) -> int:
             markers.fields[name][...] = values
         if to is not None:
             markers.migrate(to)
-    migrated = 0 if state.to is None else points.migrate(state.to) + balance(points)
+    migrated = 0
+    if state.to is not None:
+        migrated = points.migrate(state.to)
+        if points.comm.size > 1:
+            migrated += balance(points)
     seal_results(points)
     return migrated
 
@@ -157,14 +162,16 @@ def _domains(operator: Operator, F: Array) -> Array:
     """Half-lengths of the points' domains (m), by the rule of each point's field."""
     points, here = operator.form.points, operator.here
     new = points["l"].copy()
+    if points.axisymmetric:
+        F = in_section(points, F)
     for field in (here.fields[k] for k in here.movers):
         if not field.basis.averaged:
             continue
         tags, growth = field.space.tags, field.space.domains
         if tags is None:
-            return update_domains(in_section(points, F), points["l0"], growth)
+            return update_domains(F, points["l0"], growth)
         own = np.isin(points["tag"], tags)
-        new[own] = update_domains(in_section(points, F)[own], points["l0"][own], growth)
+        new[own] = update_domains(F[own], points["l0"][own], growth)
     return new
 
 

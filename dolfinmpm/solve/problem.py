@@ -36,7 +36,7 @@ from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_laws, check_levels
 from dolfinmpm.forms.hoop import check_hoops
-from dolfinmpm.grid.graded import times_regridded
+from dolfinmpm.grid.lattice import times_regridded
 from dolfinmpm.solve.adaptation import Adaptation, adapt
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
@@ -84,6 +84,7 @@ class Problem(ReadOnce):
         fields: The fields, with their spaces and stabilisations.
         form: The compiled weak form.
         bodies: The rigid bodies that the points touch.
+        adaptive: Refined spaces whose leaves the points follow.
         here: The `Activation` of the last step, or None before the first step.
         kept: Couplings for the next sparsity pattern, or None.
 
@@ -149,6 +150,10 @@ class Problem(ReadOnce):
         check_kinds_of_conditions(bcs, spaces, self.form.parts.carried)
         if not scheme.inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
+        self.adaptive = [
+            spaces[k] for k in movers(spaces) if spaces[k].refinement and spaces[k].per_cell
+        ]
+        self._has_field_tags = any(space.tags is not None for space in spaces)
         self._settle_markers()
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None
@@ -327,10 +332,12 @@ class Problem(ReadOnce):
         if step is not None and self.here is None and not self.scheme.in_time:
             refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
-        check_field_tags(self.fields, self.form)
+        if self._has_field_tags:
+            check_field_tags(self.fields, self.form)
         for boundary in self.form.boundaries:
             boundary.place()
-        self.held.follow()
+        if self.held.follows:
+            self.held.follow()
         first, kept, self.kept = self.here is None, self.kept, None
         self.here = activate(
             self.points, self.fields, self.held, self.form, share, self.here, kept,
@@ -365,7 +372,8 @@ class Problem(ReadOnce):
         Raises:
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
         """
-        self.bodies.take()
+        if self.bodies.all:
+            self.bodies.take()
         if times_regridded(self.points.grid) != self.form.placed:
             raise ParameterError(
                 "mpm.regrid has placed the grid's lines anew for another problem, and this one has "

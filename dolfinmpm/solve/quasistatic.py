@@ -10,9 +10,10 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
+from dolfinmpm._platform.garbagecollector import free_petsc
 from dolfinmpm.assembly.state import HasState
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis import LatticeBasis
@@ -235,11 +236,13 @@ class QuasiStatic(Problem):
         step that failed has no record in `history`.
         """
         started, watch = time.perf_counter(), stages.Watch()
-        check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
+        check_loads(self.loads.items, self.form.given, self.held.conditions, self.comm)
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()
-        self._follow_leaves()
+        raise_together(self.comm, overwritten(self.points))
+        if self.adaptive:
+            self._follow_leaves()
         done, share, whole, eased = 0.0, self.share, False, False
         try:
             while done < 1.0:
@@ -271,14 +274,14 @@ class QuasiStatic(Problem):
             self.loads.accept(whole)
             self.scheme.end(record if whole else None)
         self.share = share
-        record.bodies |= self.bodies.record()
+        if self.bodies.all:
+            record.bodies |= self.bodies.record()
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
 
     def _follow_leaves(self) -> None:
         """Let the points follow the leaves, and record it. Collective."""
-        raise_together(self.comm, overwritten(self.points))
         adapted = adapt(self)
         self._record.split, self._record.merged = adapted.split, adapted.merged
 
@@ -296,7 +299,8 @@ class QuasiStatic(Problem):
         if failed is not None:
             return failed
         operator = self.scheme.system(self, step)
-        ease(operator, release)
+        if release < 1.0:
+            ease(operator, release)
         self._record.unknowns = operator.here.unknowns.total
         self.newton.guess.length = step.dt
         for contact in operator.contacts:
@@ -328,8 +332,11 @@ class QuasiStatic(Problem):
         """Check that a step may begin, and distribute the points over the ranks. Collective."""
         self._check_still_valid()
         raise_together(self.comm, self.points.fault())
-        petscgarbage.free(self.comm)
-        self._record.migrated += balance(self.points)
+        if self.comm.size > 1:
+            free_petsc(self.comm)
+            self._record.migrated += balance(self.points)
+        if not self.bodies.all:
+            return None
         fault = self.bodies.fault(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")
 
@@ -346,12 +353,14 @@ class QuasiStatic(Problem):
     def _commit(self, operator: Operator, state: NewState) -> None:
         """Write the new state of bodies, points and markers. Collective."""
         points, record = self.points, self._record
-        self.scheme.count(self.bodies.commit(self.bodies.acting(operator)))
+        if self.bodies.all:
+            self.scheme.count(self.bodies.commit(self.bodies.acting(operator)))
         record.bodies = {}
         for contact in operator.contacts:
             record.bodies |= contact.record()
         record.migrated += commit(points, state)
-        record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
+        if self.comm.size > 1:
+            record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
         with stages.commit:
             fill_functions(operator.here.fields, operator.increments)
 

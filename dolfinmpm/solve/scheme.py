@@ -80,7 +80,8 @@ class Static(Scheme):
         Raises:
             ParameterError: A time is given.
         """
-        refuse_time(t, type(problem).__name__)
+        if t is not None:
+            refuse_time(t, type(problem).__name__)
 
     def substep(self, done: float, share: float) -> Step:
         """The next substep.
@@ -93,7 +94,8 @@ class Static(Scheme):
 
     def system(self, problem: Any, step: Step) -> Operator:
         """The equations of a step. Collective."""
-        problem.bodies.begin(step.dt)
+        if problem.bodies.all:
+            problem.bodies.begin(step.dt)
         return Operator(problem.form, problem.activate(step))
 
     def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:

@@ -27,7 +27,7 @@ from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import SplitForm, split
-from dolfinmpm.grid.graded import times_regridded
+from dolfinmpm.grid.lattice import times_regridded
 from dolfinmpm.terms.boundaryterm import BoundaryTerm
 from dolfinmpm.terms.gridterm import GridTerm
 

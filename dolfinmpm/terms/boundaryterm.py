@@ -73,7 +73,7 @@ class BoundaryTerm(Term):
             declaration.bind()
 
     def place(self) -> None:
-        """Bring markers, and the state of nearest points, to the ranks of their cells. Collective."""
+        """Bring markers to the ranks of their cells, with nearby points' state. Collective."""
         markers, points = self.markers, self.boundary.points
         if markers.partition is not points.partition:
             markers.partition = points.partition
