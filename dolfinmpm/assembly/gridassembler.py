@@ -349,7 +349,8 @@ class GridAssembler:
                 block.attach(entities[fewer])
                 T = [fields[i].to_grid, fields[j].to_grid]
             whole = Blocks(i, j, block.rows, block.columns, block.matrix())
-            made.append(reduce_blocks(T[0], T[1], whole))
+            same = T[0] is None and T[1] is None
+            made.append(whole if same else reduce_blocks(T[0], T[1], whole))
         return made
 
     def add_external(self, fields: Sequence[ActiveField], out: Sequence[Array]) -> None:

@@ -17,8 +17,7 @@ from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_toge
 from dolfinmpm.body import pointchanges, pointfiles, pointinput
 from dolfinmpm.body.axisymmetry import require_axis
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.location import Destinations, bounds
-from dolfinmpm.body.migration import migrate
+from dolfinmpm.body.location import Destinations, bounds, migrate
 from dolfinmpm.body.pointchanges import PointChange
 from dolfinmpm.body.pointchecks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.pointsymbols import ACTIVE_CELLS, GHOST_FACETS, UNSET
@@ -160,7 +159,8 @@ class MaterialPoints(PointTable):
         if axisymmetric:
             require_axis(grid)
         super().__init__(grid, axisymmetric)
-        # "updated" or "total": positions that give the cells and ranks; see `settle`
+        # "updated" or "total": positions that give the cells and ranks; see
+        # `use_configuration`
         self.configuration = "updated"
         self.overlapping = False
         self.roomy = -1

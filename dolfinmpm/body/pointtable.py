@@ -26,8 +26,8 @@ from dolfinmpm.body.familyids import roots_of
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.missingfields import no_field
+from dolfinmpm.body.pointchecks import OF_STRAIN
 from dolfinmpm.body.pointsymbols import PointSymbols
-from dolfinmpm.body.resultfields import OF_STRAIN
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints

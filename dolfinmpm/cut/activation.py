@@ -66,6 +66,10 @@ class RegionTerms(Protocol):
     def tags(self) -> frozenset[int] | None:
         """Tags of its points. None means all points, or all points except some."""
 
+    @property
+    def everywhere(self) -> bool:
+        """Whether all points belong to the region."""
+
     def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
         """Mask of the points of the region, or None for all points."""
 

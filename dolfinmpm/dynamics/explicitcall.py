@@ -11,7 +11,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm._platform.garbagecollector import free_petsc
 from dolfinmpm.body.loadbalance import balance, imbalance
-from dolfinmpm.body.resultfields import overwritten, seal_results, unseal_results
+from dolfinmpm.body.pointchecks import overwritten, seal_results, unseal_results
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time
 from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.faces import set_velocities

@@ -51,7 +51,7 @@ class Adaptation:
 
 def adapt(problem: Problem) -> Adaptation:
     """Let leaves and points follow the sizes wanted now; see `Problem.adapt`. Collective."""
-    spaces = problem.adaptive
+    spaces = problem.form.adaptive
     if not spaces:
         return Adaptation()
     points, number, joined, energies = problem.points, 0, 0, np.zeros(2)

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.solve import krylov, latticelevels, schur
-from dolfinmpm.solve.method import Method, Tangent, as_used, crossover
+from dolfinmpm.solve.method import Method, Tangent, as_used
 from dolfinmpm.solve.mumps import WORKSPACE, Mumps
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
@@ -82,13 +82,6 @@ class LinearSolver:
         other._checked = self._checked
         other.choice.no_incomplete = complete
         return other
-
-    def in_blocks(self, count: int) -> bool:
-        """Whether the method for a number of unknowns needs the unknowns of a node in a block."""
-        pc = self._options.get("pc_type")
-        if pc is not None:
-            return pc in ("gamg", "hypre", "mg", "ml")
-        return count >= crossover(self.choice.tangent, self._gdim)
 
     @property
     def mumps(self) -> dict[int, int]:

@@ -16,8 +16,8 @@ from dolfinmpm.body.axisymmetry import full_gradient, in_section
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import destinations
+from dolfinmpm.body.pointchecks import seal_results, unseal_results
 from dolfinmpm.body.points import MaterialPoints, PointField
-from dolfinmpm.body.resultfields import seal_results, unseal_results
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.lattice import largest_cell

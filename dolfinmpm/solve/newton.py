@@ -149,7 +149,8 @@ class Newton:
         """
         here = operator.here
         displacements = len(here.movers) == len(here.fields)
-        return operator.has_rigid_contact and bool(self.searches) and displacements
+        rigid = any(contact.pushes for contact in operator.contacts)
+        return rigid and bool(self.searches) and displacements
 
     def _attempt(self, operator: Operator, outcome: Outcome, guess: Array | None = None) -> None:
         """One run of SNES, from a guess of the unknowns or from zero. Collective."""

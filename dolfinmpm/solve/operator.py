@@ -62,9 +62,7 @@ class Operator:
         form, here: The arguments.
         points: The terms of the points.
         others: All other terms.
-        terms: All terms, the points first.
         contacts: The contacts among them.
-        soft: Blocks of soft stiffness: they are in the matrix, and not in the forces.
         loads: External forces of loads (N), shape (nodes, components) per field.
     """
 
@@ -72,12 +70,8 @@ class Operator:
     def __init__(self, form: WeakForm, here: Activation, more: Sequence[ActiveTerm] = ()):
         self.form, self.here = form, here
         self.points, self._active = form.on(here)
-        self._more = more
         self.others: list[ActiveTerm] = [*self._active.values(), *more]
-        self.terms: list[ActiveTerm] = [self.points, *self.others]
         self.contacts = [term for term in self.others if isinstance(term, ActiveContact)]
-        # the activation holds the constant blocks of its own form only
-        self.soft: list[Blocks] = here.blocks_of("soft") if here.terms is form else []
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
         self.loads: Sequence[Array] = ()
@@ -86,6 +80,11 @@ class Operator:
         # entries of the constant blocks: those of the matrix, and those of prescribed columns
         self._base: tuple[Array, list[Array]] | None = None
         self.update_external()
+
+    @property
+    def terms(self) -> list[ActiveTerm]:
+        """All terms, the points first."""
+        return [self.points, *self.others]
 
     def active(self, term: Term) -> Any:
         """A term of the form on the activation.
@@ -243,11 +242,6 @@ class Operator:
         for contact in self.contacts:
             contact.touch(self._u.arrays, self._scale)
 
-    @property
-    def has_rigid_contact(self) -> bool:
-        """Whether a term is contact with a rigid body."""
-        return any(contact.pushes for contact in self.contacts)
-
     def has(self, kind: str) -> bool:
         """Whether a term has this kind, see `ActiveTerm`."""
         return any(term.kind == kind for term in self.terms)
@@ -351,12 +345,20 @@ class Operator:
     @functools.cached_property
     def _constant(self) -> list[Blocks]:
         """Blocks of constant stiffness, one per pair of fields."""
-        here = self.here
-        blocks = [b for term in self._active.values() for b in term.stiffness]
-        if here.terms is self.form:
-            blocks += [*here.blocks_of("stiffness"), *here.blocks_of("penalty")]
-        blocks += [b for term in self._more for b in term.stiffness]
+        of_form = len(self._active)
+        blocks = [b for term in self.others[:of_form] for b in term.stiffness]
+        blocks += self._blocks_of("stiffness") + self._blocks_of("penalty")
+        blocks += [b for term in self.others[of_form:] for b in term.stiffness]
         return blocks if len(blocks) < 2 else merged(blocks)
+
+    @property
+    def soft(self) -> list[Blocks]:
+        """Blocks of soft stiffness: they are in the matrix, and not in the forces."""
+        return self._blocks_of("soft")
+
+    def _blocks_of(self, kind: str) -> list[Blocks]:
+        """Blocks of a kind of the activation, which holds those of its own form only."""
+        return self.here.blocks_of(kind) if self.here.terms is self.form else []
 
     @stages.assemble
     def tangent(self, matrix: Matrix) -> None:

@@ -19,13 +19,14 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.loadbalance import balance, imbalance
+from dolfinmpm.body.pointchecks import overwritten
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.resultfields import overwritten
 from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.description import size_and_solver
 from dolfinmpm.solve.easing import FIRST, begins_unbalanced, ease
 from dolfinmpm.solve.failures import failed_step, why_step_failed
 from dolfinmpm.solve.freebodies import FreeBodies
@@ -211,8 +212,10 @@ class QuasiStatic(Problem):
         check_limits(self.tolerance, self.max_iterations, value)
         self._max_halvings = value
 
-    def _in_blocks(self, count: int) -> bool:
-        return self.newton.linear.in_blocks(count)
+    @property
+    def blocks_from(self) -> float:
+        """See `Problem`."""
+        return self.newton.linear.choice.blocks_from
 
     @collective(compared=of_step)
     def step(self, t: float | None = None) -> Any:
@@ -240,9 +243,7 @@ class QuasiStatic(Problem):
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()
-        raise_together(self.comm, overwritten(self.points))
-        if self.adaptive:
-            self._follow_leaves()
+        self._follow_leaves()
         done, share, whole, eased = 0.0, self.share, False, False
         try:
             while done < 1.0:
@@ -282,8 +283,10 @@ class QuasiStatic(Problem):
 
     def _follow_leaves(self) -> None:
         """Let the points follow the leaves, and record it. Collective."""
-        adapted = adapt(self)
-        self._record.split, self._record.merged = adapted.split, adapted.merged
+        raise_together(self.comm, overwritten(self.points))
+        if self.form.adaptive:
+            adapted = adapt(self)
+            self._record.split, self._record.merged = adapted.split, adapted.merged
 
     def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
         """Take a step or a substep; return None, or the reason of a failure. Collective.
@@ -377,15 +380,7 @@ class QuasiStatic(Problem):
     @collective
     def info(self) -> str:
         """Lines to print: points, unknowns and the linear solver at present. Collective."""
-        points, here, comm = self.points, self.here, self.comm
-        counts = comm.allgather((len(points), 0 if here is None else here.unknowns.owned))
-        lines = [_spread("points", [count[0] for count in counts])]
-        if here is not None:
-            lines.append(_spread("unknowns", [count[1] for count in counts], here.unknowns.total))
-            lines.append(f"active cells: {here.active_cells}, ghost facets: {here.ghost_facets}")
-        method = self.newton.linear.used
-        lines.append(f"linear solver: {method or 'chosen in the first step'}")
-        return "\n".join(lines)
+        return size_and_solver(self)
 
     def keeping(self) -> list[tuple[str, HasState]]:
         """See `Problem`."""
@@ -396,13 +391,3 @@ class QuasiStatic(Problem):
         """The last relative out-of-balance force, for messages."""
         residuals = self._record.residuals
         return f"{residuals[-1]:.3g}" if residuals else "none"
-
-
-def _spread(what: str, counts: list[int], total: int | None = None) -> str:
-    """Sum of a number over all ranks, and its range over the ranks."""
-    text = f"{what}: {sum(counts) if total is None else total}"
-    if len(counts) == 1:
-        return text
-    mean = sum(counts) / len(counts)
-    most = f", {max(counts) / mean:.2f} times the mean" if mean else ""
-    return f"{text}, {min(counts)} to {max(counts)} per rank{most}"

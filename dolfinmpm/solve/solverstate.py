@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dolfinmpm.assembly.state import Local
-from dolfinmpm.cut.couplings import KeptCouplings
+from dolfinmpm.cut.pattern import KeptCouplings
 from dolfinmpm.solve.linearsolver import WORKSPACE
 
 __all__ = ["SolverState"]

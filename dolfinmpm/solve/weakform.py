@@ -18,11 +18,11 @@ from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.meanforces import MeanForceWeights
-from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling
+from dolfinmpm.cut.activate import active_region
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling, movers
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.cut.regions import active_region
 from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
@@ -238,6 +238,12 @@ class WeakForm:
     def storing(self) -> list[Declaration | UFLStress]:
         """Laws, and terms in UFL of points without a law, which store energy."""
         return [*self.parts.declarations, *self.own]
+
+    @property
+    def adaptive(self) -> list[Space]:
+        """Refined spaces whose leaves the points follow."""
+        found = (self.spaces[k] for k in movers(self.spaces))
+        return [s for s in found if s.refinement is not None and s.per_cell is not None]
 
     @property
     def regions(self) -> list[PointTerms]:

@@ -24,7 +24,7 @@ from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField
-from dolfinmpm.cut.regions import active_boundary_regions
+from dolfinmpm.cut.activeboundaries import active_boundary_regions
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import largest_cell, lattice_of
