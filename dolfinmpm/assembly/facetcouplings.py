@@ -65,26 +65,6 @@ def _couple(nodes, direction, start, facet, position, slot, seen, begin, columns
         begin[row + 1] = total
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _sum(kind, direction, start, facet, position, slot, tensors, scale, begin, slots, sums, out):
-    """Sum the facets' scaled tensors between every touched node and its coupled nodes."""
-    m, n = tensors.shape[3], tensors.shape[4]
-    sums[:] = 0.0
-    for row in range(start.size - 1):
-        for e in range(start[row], start[row + 1]):
-            f, a = facet[e], position[e]
-            for part in range(scale.shape[1]):
-                factor = scale[f, part]
-                for b in range(m):
-                    s = slot[direction[f], a, b]
-                    for q in range(n):
-                        sums[s, q] += factor * tensors[kind[f], part, a, b, q]
-        for at in range(begin[row], begin[row + 1]):
-            for q in range(n):
-                out[at, q] = sums[slots[at], q]
-                sums[slots[at], q] = 0.0
-
-
 @dataclass(frozen=True)
 class FacetPatch:
     """Nodes around a facet, by the direction of the facet.
@@ -131,20 +111,6 @@ class Couplings:
     facets_of_nodes: tuple[npt.NDArray[np.int64], Ints, Ints]
     begin: npt.NDArray[np.int64]
     slots: Ints
-
-    def sums(self, kind: Ints, tensors: Array, scale: Array) -> Array:
-        """Sums of the facets' tensors, shape (entries, n).
-
-        Args:
-            kind: Row of each facet in `tensors`.
-            tensors: Tensors, shape (kinds, parts, m, m, n).
-            scale: Factors, shape (facets, parts).
-        """
-        work = np.empty((self.patch.slots, tensors.shape[-1]))
-        out = np.empty((self.rows.size, tensors.shape[-1]))
-        near = kind, self.direction, *self.facets_of_nodes, self.patch.slot
-        _sum(*near, tensors, scale, self.begin, self.slots, work, out)
-        return out
 
 
 def couplings_of(patch: FacetPatch, basis: LatticeBasis, low: Ints, direction: Ints) -> Couplings:

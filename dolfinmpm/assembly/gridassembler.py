@@ -208,11 +208,12 @@ class GridAssembler:
 
     Attributes:
         terms: The terms.
+        empty: Whether there are none.
         moving: Subdomain ids of ghost facets and active cells in the terms.
     """
 
     def __init__(self, terms: GridTerms, spaces: Sequence[Space]):
-        self.terms = terms
+        self.terms, self.empty = terms, not terms
         self._spaces = list(spaces)
         self._external = self._linear_forms(terms.external)
         # terms that are linear in the increments act only by their Jacobian
@@ -292,7 +293,7 @@ class GridAssembler:
         Args:
             fields: Active fields.
         """
-        if not self.terms:
+        if self.empty:
             return
         entities = [field.entities for field in fields]
         old = self._attached

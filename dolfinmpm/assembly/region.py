@@ -17,7 +17,7 @@ from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellcouplings import add_outer
 from dolfinmpm.cut.facetmoduli import isotropic_moduli
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator, if_kept
+from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
 
@@ -73,6 +73,7 @@ class Region:
         self._points, self._unknowns = points, unknowns
         self._rows = np.sort(part.stencils[0].order)
         widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
+        self._chunks = _chunks_of(part.stencils[0].groups)
         self._columns: list[int] = [sum(widths[:k]) for k in range(len(widths))]
         # intermediate results of laws, in the order of the stencils, and numbers of the operators
         # whose results belong to the present increments
@@ -127,19 +128,6 @@ class Region:
             for key in keys
         }
 
-    def _chunks(self) -> Iterator[tuple[int, int]]:
-        """Ranges of groups with some thousand points each."""
-        every = list(self._all_chunks())
-        return iter(every[:: max(len(every) // _SAMPLE, 1)] if self.sampled else every)
-
-    def _all_chunks(self) -> Iterator[tuple[int, int]]:
-        groups, first = self.part.stencils[0].groups, 0
-        while first < groups.size - 1:
-            last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
-            last = max(last, first + 1)
-            yield first, last
-            first = last
-
     def run(
         self, programs: Sequence[Program], tangent: bool
     ) -> Iterator[tuple[int, int, list[Array]]]:
@@ -157,7 +145,10 @@ class Region:
         known = self._known & set(asked)
         # a law that fails in a chunk leaves the later chunks without new results
         self._known -= set(asked)
-        for first, last in self._chunks():
+        chunks = self._chunks
+        if self.sampled:
+            chunks = chunks[:: max(len(chunks) // _SAMPLE, 1)]
+        for first, last in chunks:
             stages.evaluate.enter()
             try:
                 rows = s.order[s.groups[first] : s.groups[last]]
@@ -217,16 +208,13 @@ class Region:
         if operator.tags is not None:
             own = np.isin(self._points["tag"][rows], operator.tags)
         if own is None or own.all():
-            further = {} if by_mean is None else {"by_mean": by_mean}
-            return law.evaluate(operand, value, slope, rows, **if_kept(kept), **further)
+            return law.evaluate(operand, value, slope, rows, **_asked(kept, by_mean))
         mine = np.flatnonzero(own)
         whole = value, slope, by_mean
         part = [None if a is None else np.empty((mine.size, *a.shape[1:])) for a in whole]
         of_mine = _taken_of(kept, mine)
-        further = {} if by_mean is None else {"by_mean": part[2]}
-        bad = law.evaluate(
-            operand[mine], part[0], part[1], rows[mine], **if_kept(of_mine), **further
-        )
+        asked = _asked(of_mine, part[2])
+        bad = law.evaluate(operand[mine], part[0], part[1], rows[mine], **asked)
         if kept is not None and of_mine is not None and not kept.known:
             kept.values[mine] = of_mine.values
         for a, values in zip(whole, part):
@@ -265,7 +253,8 @@ class Region:
         means = list(terms.by_mean)
         if not pairs:
             return
-        left = {k: [c.forces(f.components) for c, f in self._coupled()] for k in means}
+        both = list(zip(couplings or (), self._unknowns.fields))
+        left = {k: [c.forces(f.components) for c, f in both] for k in means}
         programs = [terms.tangent[pair].program for pair in pairs]
         programs += [terms.by_mean[k] for k in means]
         for first, last, values in self.run(programs, True):
@@ -289,10 +278,6 @@ class Region:
                     couplings[i], couplings[field], force, right, (to.rows, to.columns), to.pattern,
                     to.data, to.prescribed, to.lift,
                 )  # fmt: skip
-
-    def _coupled(self):
-        assert self.part.couplings is not None
-        return zip(self.part.couplings, self._unknowns.fields)
 
     def _mean_slope(self, k: int, field: int) -> Array:
         """Derivatives of the k-th operator's sums over cells by the nodal increments of a field."""
@@ -332,13 +317,15 @@ class Region:
     def moduli(self, out: Array) -> None:
         """Write the moduli M and G of the laws' tangents (Pa), shape (points, 2)."""
         s, points, d = self.part.stencils[0], self._points, self._points.strain_dim
-        chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
+        # stresses of laws, and not their derivatives
+        laws = [o.declaration and o.declaration.operator for o in self.terms.operators]
+        chosen = [k for k, o in enumerate(self.terms.operators) if o is laws[k]]
         # one array for all chunks: memory that the system gives anew would take time
-        largest = max((s.groups[b] - s.groups[a] for a, b in self._chunks()), default=0)
+        largest = max((s.groups[b] - s.groups[a] for a, b in self._chunks), default=0)
         slopes = np.empty((largest, d * d, d * d))
         for k in chosen:
             known = k in self._known
-            for first, last in self._chunks():
+            for first, last in self._chunks:
                 rows = s.order[s.groups[first] : s.groups[last]]
                 operand = self.operand(k, rows)
                 value, slope = np.empty((rows.size, d * d)), slopes[: rows.size]
@@ -365,7 +352,7 @@ class Region:
         self.failure = None
         s, points = self.part.stencils[0], self._points
         # a rank without points needs the fields too
-        chunks = list(self._chunks()) or [(0, 0)]
+        chunks = self._chunks or [(0, 0)]
         for k, operator in enumerate(self.terms.operators):
             law: Any = operator.law
             whole = operator.tags is None and s.order.size == len(points)
@@ -376,7 +363,7 @@ class Region:
                     mine = np.flatnonzero(np.isin(points["tag"][rows], operator.tags))
                     rows, kept = rows[mine], _taken_of(kept, mine)
                 operand = self.operand(k, rows)
-                found = law.commit(operand, rows, **if_kept(kept))
+                found = law.commit(operand, rows, **_asked(kept, None))
                 for name, values in found.items():
                     if name not in new:
                         shape = len(points), *values.shape[1:]
@@ -391,9 +378,21 @@ class Region:
         self._kept.clear()
 
 
-def _is_stress(operator: PointOperator) -> bool:
-    """Whether an operator is the stress of a law, and not its derivative."""
-    return operator.declaration is not None and operator.declaration.operator is operator
+def _chunks_of(groups: npt.NDArray[np.integer]) -> list[tuple[int, int]]:
+    """Ranges of groups with some thousand points each."""
+    chunks, first = [], 0
+    while first < groups.size - 1:
+        last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
+        last = max(last, first + 1)
+        chunks.append((first, last))
+        first = last
+    return chunks
+
+
+def _asked(kept: KeptTangents | None, by_mean: Array | None) -> dict[str, Any]:
+    """Keywords of a call of a law; laws that keep nothing, or take no means, do not know them."""
+    given = {"kept": kept, "by_mean": by_mean}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _taken_of(kept: KeptTangents | None, rows: npt.NDArray[np.integer]) -> KeptTangents | None:

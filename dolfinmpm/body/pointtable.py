@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.collective import check_same_call, collective
 from dolfinmpm._platform.errors import (
+    DolfinMPMError,
     FieldShapeError,
     ParameterError,
     UnknownNameError,
@@ -25,8 +27,9 @@ from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.familyids import roots_of
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
+from dolfinmpm.body.location import Destinations, migrate
 from dolfinmpm.body.missingfields import no_field
-from dolfinmpm.body.pointchecks import OF_STRAIN
+from dolfinmpm.body.pointchecks import OF_STRAIN, astray, fault
 from dolfinmpm.body.pointsymbols import PointSymbols
 
 if TYPE_CHECKING:
@@ -60,6 +63,8 @@ class PointTable:
         symbols: Measures, constants and fields for UFL.
         total: Number of points on all ranks.
         revision: Number of changes of the rows of the arrays.
+        configuration: Positions that give the cells and ranks, "updated" or "total"; see
+            `use_configuration`.
     """
 
     def __init__(self, grid: Mesh, axisymmetric: bool):
@@ -68,6 +73,8 @@ class PointTable:
         self.fields = FieldArrays()
         self.symbols = PointSymbols(grid)
         self.total = self.revision = self._next_id = 0
+        self.configuration = "updated"
+        self._located = math.nan
 
     def take_first(self, values: dict[str, npt.NDArray[Any]]) -> None:
         """Make the fields that every point has.
@@ -304,6 +311,24 @@ class PointTable:
         x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
         size = section(self, volume, x) if self.axisymmetric else self[volume]
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
+
+    def fault(self) -> DolfinMPMError | None:
+        """Error for an impossible value in the fields of this rank's points, or None."""
+        error = fault(self)
+        updated = self.configuration == "updated"
+        if error is None and updated and self._located != (place := self.fields.read("x").sum()):
+            # the user has changed x: steps locate the points that they move
+            error = astray(self)
+            self._located = place if error is None else math.nan
+        return error
+
+    def migrate(self, to: Destinations) -> int:
+        """Move points to the ranks that compute their cells; returns their number. Collective."""
+        moved = migrate(self, to)
+        # in a total formulation, the present positions have no cells
+        self._located = self.fields.read("x").sum()
+        self.revision += moved > 0
+        return moved
 
     @collective
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:

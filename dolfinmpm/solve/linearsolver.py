@@ -140,7 +140,8 @@ class LinearSolver:
             choice.weigh(self.reuse)
         method, former = choice.method(count), self.method
         self.method = method
-        if former is not None and method.like(former) and self.snes is not None:
+        same = method is former or (former is not None and method.like(former))
+        if same and self.snes is not None:
             return
         self.matrix = self.true = None
         self.snes = krylov.create(self.comm, method, options, choice.tangent.softened)
@@ -218,7 +219,7 @@ class LinearSolver:
             # new incomplete factors are cheap; old ones may suddenly need many iterations
             self.reuse.renew()
         self._prepare()
-        if not method.factors and not method.incomplete and not self._options.has("ksp_max_it"):
+        if not method.factors and not method.incomplete and "ksp_max_it" not in self._options.names:
             most = self.reuse.most(self._ksp.getTolerances()[0], krylov.MOST)
             self._ksp.setTolerances(max_it=most)
 
@@ -237,7 +238,7 @@ class LinearSolver:
             Whether it is: the iteration probably is the last one.
         """
         former = self._former
-        if former is None or not self.has_tangent or self._options.has("snes_lag_jacobian"):
+        if former is None or not self.has_tangent or "snes_lag_jacobian" in self._options.names:
             return False
         if _SAFE * norm**2 > enough * former:
             return False
@@ -247,7 +248,7 @@ class LinearSolver:
     def _aim(self, norm: float, enough: float) -> None:
         """Set the accuracy of the next solution; see `assembled`."""
         if self.reuse is not None and self.method is not None:
-            if not self._options.has("ksp_rtol"):
+            if "ksp_rtol" not in self._options.names:
                 share = krylov.share(self.method, norm, self._former, enough)
                 self._ksp.setTolerances(rtol=share)
             self._ksp.setTolerances(atol=max(enough, 1e-300))
@@ -289,7 +290,7 @@ class LinearSolver:
             if method.factors or method.incomplete:
                 # later right-hand sides of the same matrix need all digits, too
                 self.reuse.renew()
-            elif not self._options.has("ksp_max_it"):
+            elif "ksp_max_it" not in self._options.names:
                 ksp.setTolerances(max_it=krylov.MOST)
         self._prepare()
         ksp.solve(b, y)

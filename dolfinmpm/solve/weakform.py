@@ -280,7 +280,7 @@ class WeakForm:
 
     def couple(self, here: ActiveDomain) -> list[Coupling]:
         """Couplings of nodes by its terms, besides the couplings by the points. Collective."""
-        return [one for term in self.terms for one in term.couple(here)]
+        return [one for term in self.parts.terms for one in term.couple(here)]
 
     def regrid(self) -> None:
         """Discard data that depend on the old grid lines."""

@@ -56,7 +56,7 @@ class GridTerm(Term):
         for modulus in self.moduli:
             (field,) = (f for f in fields if f.space.increment is modulus.increment)
             update(modulus, field)
-        if not self.assembler.terms:
+        if self.assembler.empty:
             return {}
         self.assembler.attach(fields)
         linear = self._kind != "stiffness" or self.assembler.terms.linear
@@ -74,7 +74,7 @@ class GridTerm(Term):
 
     def summary(self) -> str:
         """See `Term`."""
-        counts = self._kind == "stiffness" and self.assembler.terms
+        counts = self._kind == "stiffness" and not self.assembler.empty
         return "integrals over the grid" if counts else ""
 
     def state(self) -> dict[str, Any]:
