@@ -78,7 +78,7 @@ class Region:
         # intermediate results of laws, in the order of the stencils, and numbers of the operators
         # whose results belong to the present increments
         self._kept: dict[int, Array] = {}
-        self._known: set[int] = set()
+        self._current: set[int] = set()
         self._data = dict(shared)
         for k, (function, gradient) in enumerate(terms.placeholders.functions):
             self._data["function", k] = function_values(function, gradient, points)
@@ -89,7 +89,7 @@ class Region:
 
     def update_constants(self) -> None:
         """Read the form's constants again."""
-        self._known.clear()
+        self._current.clear()
         for k, constant in enumerate(self.terms.placeholders.constants):
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
@@ -98,13 +98,13 @@ class Region:
 
         Collective if a law needs means.
         """
-        self._known.clear()
+        self._current.clear()
         for k in self.terms.by_mean:
-            means = self.part.means
-            assert means is not None
+            averages = self.part.averages
+            assert averages is not None
             everywhere = np.arange(len(self._points))
             law = self.averaging(k)
-            law.prepare(self.operand(k, everywhere), means.mean)
+            law.prepare(self.operand(k, everywhere), averages.mean)
 
     def averaging(self, k: int) -> AveragingLaw:
         """The law of the k-th operator, which takes means over cells."""
@@ -142,9 +142,9 @@ class Region:
         # some programs, such as dead loads, need no law
         asked = sorted({key[1] for key in inputs if key[0].startswith("operator")})
         plain = [key for key in inputs if not key[0].startswith("operator")]
-        known = self._known & set(asked)
+        known = self._current & set(asked)
         # a law that fails in a chunk leaves the later chunks without new results
-        self._known -= set(asked)
+        self._current -= set(asked)
         chunks = self._chunks
         if self.sampled:
             chunks = chunks[:: max(len(chunks) // _SAMPLE, 1)]
@@ -175,7 +175,7 @@ class Region:
                 stages.evaluate.leave()
             yield first, last, out
         if not self.sampled:
-            self._known |= {k for k in asked if k in self._kept}
+            self._current |= {k for k in asked if k in self._kept}
 
     def _kept_in(
         self, k: int, first: int, last: int, known: bool, again: bool = False
@@ -285,7 +285,7 @@ class Region:
         s, coupling = self.part.stencils[field], self.part.couplings[field]
         d, components = self._points.gdim, self._unknowns.fields[field].components
         slopes = self.averaging(k).measure_slope(self.operand(k, s.order))
-        slopes *= coupling.means.weight[s.order, None]
+        slopes *= coupling.averages.weight[s.order, None]
         flux = np.zeros((len(slopes), components, 1 + d))
         # the explicit size serves ranks without points, where -1 does not work
         flat = flux.reshape(len(flux), components * (1 + d))
@@ -324,7 +324,7 @@ class Region:
         largest = max((s.groups[b] - s.groups[a] for a, b in self._chunks), default=0)
         slopes = np.empty((largest, d * d, d * d))
         for k in chosen:
-            known = k in self._known
+            known = k in self._current
             for first, last in self._chunks:
                 rows = s.order[s.groups[first] : s.groups[last]]
                 operand = self.operand(k, rows)
@@ -341,9 +341,9 @@ class Region:
                 found = isotropic_moduli(slope.reshape(-1, d, d, d, d))
                 share = points["V0"][rows] / points["V"][rows]
                 out[rows] += share[:, None] * found
-            self._known |= {k} & self._kept.keys()
+            self._current |= {k} & self._kept.keys()
 
-    def commit(self, new: dict[str, Array]) -> None:
+    def add_end_state(self, new: dict[str, Array]) -> None:
         """Write the laws' fields at the end of the step into new arrays.
 
         Args:
@@ -358,7 +358,7 @@ class Region:
             whole = operator.tags is None and s.order.size == len(points)
             for first, last in chunks:
                 rows = s.order[s.groups[first] : s.groups[last]]
-                kept = self._kept_in(k, first, last, True) if k in self._known else None
+                kept = self._kept_in(k, first, last, True) if k in self._current else None
                 if operator.tags is not None:
                     mine = np.flatnonzero(np.isin(points["tag"][rows], operator.tags))
                     rows, kept = rows[mine], _taken_of(kept, mine)
@@ -374,7 +374,7 @@ class Region:
                         bad = int(np.argmin(finite))
                         self._fail(operator, int(rows[bad]), operand[bad])
         # the state of the points may change after this
-        self._known.clear()
+        self._current.clear()
         self._kept.clear()
 
 

@@ -37,7 +37,7 @@ class NewState:
         fields: New values of the points' fields, by name.
         moves: Whether the points move.
         to: Where the points go, or None if they stay in their cells.
-        beside: The same of the markers of boundaries: markers, new values, where they go.
+        markers: The same of the markers of boundaries: markers, new values, where they go.
         moved: Displacements of markers in the step (m), shape (markers, gdim), by the number of
             the markers.
     """
@@ -45,14 +45,14 @@ class NewState:
     fields: dict[str, Array]
     moves: bool = True
     to: Destinations | None = None
-    beside: list[tuple[MaterialPoints, dict[str, Array], Destinations | None]] = field(
+    markers: list[tuple[MaterialPoints, dict[str, Array], Destinations | None]] = field(
         default_factory=list
     )
     moved: dict[int, Array] = field(default_factory=dict)
 
     def of(self, markers: MaterialPoints) -> dict[str, Array]:
         """New values of the fields of some markers, which a term may add to."""
-        return next(fields for one, fields, _ in self.beside if one is markers)
+        return next(fields for one, fields, _ in self.markers if one is markers)
 
 
 class ActiveTerm:
@@ -169,11 +169,11 @@ class Term:
             declarations: The laws of the form.
         """
 
-    def start_in_time(self, means: Any) -> None:
+    def start_in_time(self, weights: Any) -> None:
         """Act in steps in time: in the mean over a step, or with None at its start or end.
 
         Args:
-            means: See `dolfinmpm.contact.meanforces`.
+            weights: See `dolfinmpm.contact.meanforces`.
         """
 
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:

@@ -36,7 +36,7 @@ __all__ = [
     "checked",
     "checked_rows",
     "checked_tag",
-    "fault",
+    "error_in_fields",
     "overwritten",
     "require_grid",
     "seal_results",
@@ -186,7 +186,7 @@ def _whole(what: str, values: Any, n: int, kind: type[np.signedinteger]) -> npt.
     return given.astype(kind)
 
 
-def fault(points) -> DolfinMPMError | None:
+def error_in_fields(points) -> DolfinMPMError | None:
     """What is impossible in the fields of this rank's points, or None.
 
     All ranks must have asked for the `bounds` of the grid before.

@@ -172,7 +172,7 @@ class MaterialPoints(PointTable):
         if id is None:
             values["id"] += self.comm.exscan(len(values["id"])) or 0
         self.take_first(values)
-        raise_together(self.comm, self.fault())
+        raise_together(self.comm, self.error_in_fields())
         self.recount()
 
     # -- constructors ---------------------------------------------------------

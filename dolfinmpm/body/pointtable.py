@@ -24,12 +24,12 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.html import listing
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
-from dolfinmpm.body.familyids import roots_of
+from dolfinmpm.body.familyids import ancestors_of
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.location import Destinations, migrate
 from dolfinmpm.body.missingfields import no_field
-from dolfinmpm.body.pointchecks import OF_STRAIN, astray, fault
+from dolfinmpm.body.pointchecks import OF_STRAIN, astray, error_in_fields
 from dolfinmpm.body.pointsymbols import PointSymbols
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ class PointTable:
         ids = self.fields.read("id")
         self.total = self.comm.allreduce(len(ids), op=MPI.SUM)
         # children of points that split have numbers above all others
-        highest = self.comm.allreduce(int(roots_of(ids).max(initial=-1)), op=MPI.MAX)
+        highest = self.comm.allreduce(int(ancestors_of(ids).max(initial=-1)), op=MPI.MAX)
         # numbers of removed points are not used again
         self._next_id = max(self._next_id, highest + 1)
         self.revision += 1
@@ -312,9 +312,9 @@ class PointTable:
         size = section(self, volume, x) if self.axisymmetric else self[volume]
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
-    def fault(self) -> DolfinMPMError | None:
+    def error_in_fields(self) -> DolfinMPMError | None:
         """Error for an impossible value in the fields of this rank's points, or None."""
-        error = fault(self)
+        error = error_in_fields(self)
         updated = self.configuration == "updated"
         if error is None and updated and self._located != (place := self.fields.read("x").sum()):
             # the user has changed x: steps locate the points that they move

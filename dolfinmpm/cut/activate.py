@@ -103,7 +103,7 @@ def activate(
         boundaries = with_regions(terms.boundaries, boundaries, domain)
     pairs = pairs_of([b for blocks in of_terms.values() for b in blocks], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
-    former = None if old is None else old.lazy.known
+    former = None if old is None else old.lazy.made
     every = [*regions, *(region for one in boundaries.values() for region in one.regions)]
     couplings = terms.couple(domain)
     couple = functools.partial(_pattern, every, active, unknowns, couplings, pairs, former)
@@ -195,7 +195,7 @@ def _overlapping_bases(
             found.append(base.grown(need, partition))
         else:
             assert isinstance(base, LatticeBasis)
-            refinement.leaves_for(where, averaged)
+            refinement.update_leaves(where, averaged)
             found.append(refinement.basis(base, need, partition))
     return found
 
@@ -377,18 +377,18 @@ def active_region(region: RegionTerms, points: MaterialPoints, here: ActiveDomai
         here: Points, active fields and unknowns.
     """
     chosen = None if region.everywhere else region.chosen(points["tag"])
-    stencils, means = [f.stencils for f in here.fields], None
+    stencils, averages = [f.stencils for f in here.fields], None
     if region.averages:
         field = averaging_field(region, here)
         sharing = sharing_stencils(here.where, field.full_stencils, field.basis)
         *stencils, shared = _of_points([*stencils, sharing], chosen)
-        means = averages_of(region, points, here.where, shared, field.basis)
+        averages = averages_of(region, points, here.where, shared, field.basis)
     else:
         stencils = _of_points(stencils, chosen)
     if here.total:
         stencils = all_pushed_forward(stencils, in_section(points, points["F"]))
     within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
-    return ActiveRegion(stencils, means, within)
+    return ActiveRegion(stencils, averages, within)
 
 
 def _of_points(stencils: Sequence[Stencils], chosen: Mask | None) -> list[Stencils]:

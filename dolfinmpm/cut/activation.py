@@ -130,18 +130,18 @@ class Field:
         space: The space.
         stabilisation: The stabilisation.
         prolongate: Function of stencils and active nodes that returns a matrix C, or None.
-        beside: A second stabilisation that constrains nodes, or None.
+        second: A second stabilisation that constrains nodes, or None.
     """
 
     space: Space
     stabilisation: Stabilisation
     prolongate: Prolongate | None = None
-    beside: Stabilisation | None = None
+    second: Stabilisation | None = None
 
     @functools.cached_property
     def constraining(self) -> Stabilisation | None:
         """The stabilisation that constrains nodes to others, or None."""
-        return self.stabilisation if self.stabilisation.constrains_nodes else self.beside
+        return self.stabilisation if self.stabilisation.constrains_nodes else self.second
 
     @property
     def constrains_nodes(self) -> bool:
@@ -153,7 +153,7 @@ def with_constraints(field: Field) -> Field:
     """A field whose nodes with little support are constrained, with any stabilisation."""
     if field.constrains_nodes or field.prolongate is not None:
         return field
-    return replace(field, beside=Stabilisation("aggregation"))
+    return replace(field, second=Stabilisation("aggregation"))
 
 
 @dataclass(frozen=True)
@@ -202,12 +202,12 @@ class ActiveRegion:
 
     Attributes:
         stencils: Stencils in each field, in common groups.
-        means: Means over cells, or None if no law uses means.
+        averages: Means over cells, or None if no law uses means.
         within: Numbering of the nodes, and active nodes, of each field.
     """
 
     stencils: list[Stencils]
-    means: CellAverages | None
+    averages: CellAverages | None
     within: list[tuple[Numbering, npt.NDArray[np.int32]]]
 
     @functools.cached_property
@@ -219,10 +219,10 @@ class ActiveRegion:
         Raises:
             ParameterError: Ranks constrain different nodes.
         """
-        if self.means is None:
+        if self.averages is None:
             return None
         found = [
-            CellCouplings(self.means, s, numbering, nodes)
+            CellCouplings(self.averages, s, numbering, nodes)
             for s, (numbering, nodes) in zip(self.stencils, self.within)
         ]
         if not all(c.complete for c in found):
@@ -273,16 +273,16 @@ class LazyPattern:
 
     def __init__(self, build: Callable[[], Pattern]):
         self._build: Callable[[], Pattern] | None = build
-        self.known: Pattern | None = None
+        self.made: Pattern | None = None
 
     @property
     def pattern(self) -> Pattern:
         """The pattern."""
-        if self.known is None:
+        if self.made is None:
             assert self._build is not None
             # the function keeps the data of the pattern alive and is released too
-            self.known, self._build = self._build(), None
-        return self.known
+            self.made, self._build = self._build(), None
+        return self.made
 
 
 @dataclass(frozen=True)

@@ -163,10 +163,10 @@ class EssentialConditions:
     def within_reach(
         self, fixed: Flags, space: Space, basis: Basis, seen: Stencils, of_points: Stencils
     ) -> Flags:
-        """Leave out conditions where only markers reach held nodes. Collective.
+        """Leave out conditions where only markers reach constrained nodes. Collective.
 
-        A condition holds a node that points reach, and nodes beside it. A body that does not reach
-        a side of the grid is not held there, whatever its markers reach.
+        A condition constrains a node that points reach, and neighbours of this node. A body that
+        does not reach a side of the grid is free there, whatever its markers reach.
 
         Args:
             fixed: Mask of the prescribed components, shape (nodes, components).
@@ -182,22 +182,22 @@ class EssentialConditions:
         lost = np.setdiff1d(active_nodes(seen, basis), np.flatnonzero(reached))
         if not numbering.comm.allreduce(bool(fixed[lost].any()), op=MPI.LOR):
             return fixed
-        held = fixed.copy()
-        held[lost] = False
+        result = fixed.copy()
+        result[lost] = False
         group = np.repeat(np.arange(seen.groups.size - 1), np.diff(seen.node_start))
         for condition in self.conditions:
             if condition.space is not space:
                 continue
             own = self._nodes_of(condition, basis)
             touched = np.bincount(group, (own & reached)[seen.nodes], seen.groups.size) > 0
-            beside = np.zeros(reached.size, bool)
-            beside[seen.nodes[touched[group]]] = True
-            held[:, condition.component] |= own & numbering.share_flags(beside)
-        return held
+            near = np.zeros(reached.size, bool)
+            near[seen.nodes[touched[group]]] = True
+            result[:, condition.component] |= own & numbering.share_flags(near)
+        return result
 
     @staticmethod
     def _nodes_of(condition: Condition, basis: Basis) -> Flags:
-        """Mask of the nodes that a condition holds, in a basis of its space. Collective."""
+        """Mask of the nodes that a condition constrains, in a basis of its space. Collective."""
         if isinstance(basis, LeafBasis):
             flags = np.zeros(basis.nodes.size, bool)
             flags[on_leaves(condition, basis).nodes] = True

@@ -299,7 +299,7 @@ def lists_of(regions: Sequence[ActiveRegion], fields, unknowns: Unknowns):
         if region.couplings is not None:
             own = [c.lists() for c in region.couplings]
             if any(o is not None for o in own):
-                lists.append(_stacked([c.merged() for c in region.couplings], unknowns))
+                lists.append(_stacked([c.matrix_lists() for c in region.couplings], unknowns))
     if not lists:
         lists.append(
             _stacked([(f.stencils.node_start, f.stencils.nodes) for f in fields], unknowns)

@@ -100,7 +100,7 @@ class CollisionSteps(ExplicitBase):
         """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
-        raise_together(points.comm, points.fault())
+        raise_together(points.comm, points.error_in_fields())
         balance(points)
         here = problem.activate(step)
         self._loads.evaluate()

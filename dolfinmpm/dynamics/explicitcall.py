@@ -88,7 +88,7 @@ class ExplicitCall:
         touched = memory.touched(problem.points)
         if touched:
             points = problem.points
-            raise_together(problem.comm, points.fault() or overwritten(points))
+            raise_together(problem.comm, points.error_in_fields() or overwritten(points))
         unseal_results(problem.points)
         adapted = adapt(problem)
         self._record.split, self._record.merged = adapted.split, adapted.merged

@@ -77,7 +77,7 @@ class GeneralSteps(ExplicitBase):
     def _activated(self, step: Step) -> Activation:
         """The activation of a step. Collective."""
         problem = self._problem
-        raise_together(problem.points.comm, problem.points.fault())
+        raise_together(problem.points.comm, problem.points.error_in_fields())
         balance(problem.points)
         problem.bodies.begin(step.dt)
         here = problem.activate(step)
@@ -210,7 +210,7 @@ class GeneralSteps(ExplicitBase):
 
     def _before(self, step: Step, kick: float, held: Array, basis: Any) -> Array:
         """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
-        prescribed = self._problem.held
+        prescribed = self._problem.essential_conditions
         bcs = prescribed.conditions
         if not any(condition.velocity for condition in bcs):
             return held

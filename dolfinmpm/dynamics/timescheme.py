@@ -222,7 +222,7 @@ class NewmarkScheme(TimedScheme):
         self._load_at(problem, step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             bases = [field.basis for field in here.fields]
-            level = problem.held.at(bases, (1 - rule.alpha_f) * step.share)[1]
+            level = problem.essential_conditions.at(bases, (1 - rule.alpha_f) * step.share)[1]
             here = replace(here, prescribed=level)
         self._begin_free_bodies(problem, step)
         share, level_dt = motion.penalty_energy.share, (1 - rule.alpha_f) * step.dt
@@ -269,11 +269,11 @@ class NewmarkScheme(TimedScheme):
             return [np.asarray(g / step.dt, np.float64) for g in here.prescribed]
         bases, scale = [field.basis for field in here.fields], step.dt / step.share
         set_velocities(problem.bcs, lambda v: v(step.t - step.dt) * scale)
-        values = problem.held.at(bases, step.share)[1]
+        values = problem.essential_conditions.at(bases, step.share)[1]
         set_velocities(problem.bcs, lambda v: mean_increment(v, step))
         return [np.asarray(g / step.dt, np.float64) for g in values]
 
-    def count(self, work: float) -> None:
+    def add_body_work(self, work: float) -> None:
         """See `Static`."""
         self.motion.ledger.work.external += work
 
@@ -306,7 +306,7 @@ class NewmarkScheme(TimedScheme):
         if reason is None:
             reason = motion.to_points(operator, state, motions, step.dt, x, scale, may_halve)
         if reason is None:
-            self.count(held_work)
+            self.add_body_work(held_work)
             motion.walls.done += of_walls
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt

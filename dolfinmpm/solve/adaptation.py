@@ -115,7 +115,7 @@ def _sizes(points: MaterialPoints, spaces: Sequence[Space]) -> Array:
         assert space.refinement is not None
         assert space.per_cell is not None
         where = points.placement(space.configuration)
-        leaves = space.refinement.leaves_for(where, space.basis.averaged)
+        leaves = space.refinement.update_leaves(where, space.basis.averaged)
         own = slice(None) if space.tags is None else np.isin(points["tag"], space.tags)
         x = np.ascontiguousarray(where.x[own])
         _, leaf = leaves.overlapped(x, np.zeros_like(x))

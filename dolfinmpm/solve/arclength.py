@@ -274,7 +274,7 @@ class ArcLength(QuasiStatic):
         """
         if t is not None:
             refuse_time(t, type(self).__name__)
-        raise_together(self.comm, self.path.load.fault())
+        raise_together(self.comm, self.path.load.error_in_constants())
         started, watch = time.perf_counter(), stages.Watch()
         self._record = record = ArcRecord()
         self._follow_leaves()

@@ -92,8 +92,8 @@ def summary(problem: Problem) -> str:
         fbar = ", F-bar" if law.fbar else ""
         lines.append(f"law: {law.law!r}, {law.strain} strain{fbar}{tags}")
     lines.append(f"terms: {', '.join(_terms(problem)) or 'none'}")
-    held = [f"{c.where}: component {c.component} {_value(c)}" for c in problem.bcs]
-    lines.append(f"conditions: {'; '.join(held) or 'none'}")
+    conditions = [f"{c.where}: component {c.component} {_value(c)}" for c in problem.bcs]
+    lines.append(f"conditions: {'; '.join(conditions) or 'none'}")
     lines += [f"rigid body: '{body.name}'" for body in problem.bodies.all]
     return "\n".join(lines + problem.scheme_lines())
 

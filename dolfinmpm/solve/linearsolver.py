@@ -249,8 +249,8 @@ class LinearSolver:
         """Set the accuracy of the next solution; see `assembled`."""
         if self.reuse is not None and self.method is not None:
             if "ksp_rtol" not in self._options.names:
-                share = krylov.share(self.method, norm, self._former, enough)
-                self._ksp.setTolerances(rtol=share)
+                rtol = krylov.relative_tolerance(self.method, norm, self._former, enough)
+                self._ksp.setTolerances(rtol=rtol)
             self._ksp.setTolerances(atol=max(enough, 1e-300))
         self._former = norm
 

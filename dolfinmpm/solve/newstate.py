@@ -63,7 +63,7 @@ def new_state(
     points, comm, moves = problem.points, problem.comm, problem.moves and not stays
     evaluation, number = operator.points, len(problem.history) + 1
     moduli = evaluation.moduli() if operator.form.moduli else None
-    new = evaluation.commit()
+    new = evaluation.end_state()
     if moduli is not None:
         new[FIELD] = operator.form.bounded_moduli(moduli)
     for declaration in operator.form.parts.declarations:
@@ -144,7 +144,7 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     unseal_results(points)
     for name, values in state.fields.items():
         points.fields[name][...] = values
-    for markers, fields, to in state.beside:
+    for markers, fields, to in state.markers:
         for name, values in fields.items():
             markers.fields[name][...] = values
         if to is not None:

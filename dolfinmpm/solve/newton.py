@@ -200,7 +200,7 @@ class Newton:
             guess = self.guess.on(operator)
         self._attempt(operator, outcome, guess)
         if guess is not None:
-            self.guess.judge(outcome.reason is None)
+            self.guess.record_use(outcome.reason is None)
         # secants replace the line searches; only the first guess can change
         others = [s for s in self.searches if s != self.search and not contact]
         for search in [self.search, *others] if guess is not None else others:
@@ -212,7 +212,7 @@ class Newton:
         if outcome.reason is None:
             self.guess.keep(operator)
             if guess is None:
-                self.guess.count(outcome.iterations)
+                self.guess.record_iterations(outcome.iterations)
         return outcome
 
     def _in_contact(self, operator: Operator) -> bool:
@@ -314,7 +314,7 @@ class Newton:
                 smallest = float(by_field[:, 1].min())
             reason = balance.test(norms[2], now.reference, iteration, by_field, not contact)
             if balance.guessed and iteration == 0:
-                if not norms[2] < InitialGuess.share(contact) * balance.motion:
+                if not norms[2] < InitialGuess.allowed_share(contact) * balance.motion:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING

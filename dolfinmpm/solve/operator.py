@@ -17,7 +17,7 @@ from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_prod
 from dolfinmpm.assembly.term import ActiveTerm, Term
 from dolfinmpm.contact.contactpoints import ActiveContact
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.cut.merging import merged
+from dolfinmpm.cut.merging import one_block_per_pair
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.solve.weakform import WeakForm
@@ -195,8 +195,8 @@ class Operator:
         """
         unknowns, work = self.here.unknowns, 0.0
         for field, force, u in zip(unknowns.fields, forces, self.increments):
-            held = field.places[1]
-            work += float(force.reshape(-1)[held] @ u.reshape(-1)[held])
+            fixed = field.places[1]
+            work += float(force.reshape(-1)[fixed] @ u.reshape(-1)[fixed])
         return unknowns.comm.allreduce(work)
 
     @stages.evaluate
@@ -349,7 +349,7 @@ class Operator:
         blocks = [b for term in self.others[:of_form] for b in term.stiffness]
         blocks += self._blocks_of("stiffness") + self._blocks_of("penalty")
         blocks += [b for term in self.others[of_form:] for b in term.stiffness]
-        return blocks if len(blocks) < 2 else merged(blocks)
+        return blocks if len(blocks) < 2 else one_block_per_pair(blocks)
 
     @property
     def soft(self) -> list[Blocks]:

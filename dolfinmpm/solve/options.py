@@ -50,15 +50,15 @@ class Options:
     def __init__(self, owner: Any, common: str, given: Mapping[str, Any]):
         self.prefix = f"{common}{next(_numbers)}_"
         database = PETSc.Options()
-        merged = dict(given)
+        values = dict(given)
         for name, value in database.getAll().items():
             of_other = any(name.startswith(prefix) for prefix in _of_problems)
             if name.startswith(common) and not of_other:
-                merged[name.removeprefix(common)] = value
-        merged |= _from_command_line(common)
-        for name, value in merged.items():
+                values[name.removeprefix(common)] = value
+        values |= _from_command_line(common)
+        for name, value in values.items():
             database[self.prefix + name] = value
-        self.names = frozenset(name.lower() for name in merged)
+        self.names = frozenset(name.lower() for name in values)
         self._suggested: set[str] = set()
         self._unread = dict(given)
         _of_problems.add(self.prefix)

@@ -154,7 +154,7 @@ class Problem(ReadOnce):
         self._locate_markers()
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None
-        self.held = EssentialConditions(bcs, spaces)
+        self.essential_conditions = EssentialConditions(bcs, spaces)
         self.form.updates = updates_of(self.form, updates)
         loads = loads_of(self.form.loads)
         check_bcs_and_loads(bcs, loads, self.configuration)
@@ -206,7 +206,7 @@ class Problem(ReadOnce):
     @property
     def bcs(self) -> Sequence[Condition]:
         """The essential conditions; read-only."""
-        return ReadList(self.held.conditions)
+        return ReadList(self.essential_conditions.conditions)
 
     @property
     def stabilisation(self) -> Stabilisation | list[Stabilisation]:
@@ -288,7 +288,7 @@ class Problem(ReadOnce):
         once = {id(refinement): refinement for refinement in refinements}
         return [
             ("loads", self.loads),
-            ("prescribed", self.held),
+            ("prescribed", self.essential_conditions),
             *self.form.named_terms(),
             ("bodies", self.bodies),
             ("scheme", self.scheme),
@@ -328,11 +328,11 @@ class Problem(ReadOnce):
             check_field_tags(self.fields, self.form)
         for boundary in self.form.boundaries:
             boundary.place()
-        if self.held.follows:
-            self.held.follow()
+        if self.essential_conditions.follows:
+            self.essential_conditions.follow()
         first, kept, self.kept = self.here is None, self.kept, None
         self.here = activate(
-            self.points, self.fields, self.held, self.form, share, self.here, kept,
+            self.points, self.fields, self.essential_conditions, self.form, share, self.here, kept,
             self.blocks_from if step is not None else math.inf,
         )  # fmt: skip
         if self.form.boundaries:

@@ -239,7 +239,9 @@ class QuasiStatic(Problem):
         step that failed has no record in `history`.
         """
         started, watch = time.perf_counter(), stages.Watch()
-        check_loads(self.loads.items, self.form.given, self.held.conditions, self.comm)
+        check_loads(
+            self.loads.items, self.form.given, self.essential_conditions.conditions, self.comm
+        )
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()
@@ -312,7 +314,7 @@ class QuasiStatic(Problem):
         for _ in range(_MOST_AUGMENTATIONS):
             with stages.solve:
                 outcome = self.solver.solve(operator)
-            self._count(outcome)
+            self._record_solution(outcome)
             if outcome.reason is not None:
                 break
             augmented = [contact.augment() for contact in operator.contacts]
@@ -334,7 +336,7 @@ class QuasiStatic(Problem):
     def _prepare(self, step: Step) -> Failed | None:
         """Check that a step may begin, and distribute the points over the ranks. Collective."""
         self._check_still_valid()
-        raise_together(self.comm, self.points.fault())
+        raise_together(self.comm, self.points.error_in_fields())
         if self.comm.size > 1:
             free_petsc(self.comm)
             self._record.migrated += balance(self.points)
@@ -343,7 +345,7 @@ class QuasiStatic(Problem):
         fault = self.bodies.fault(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")
 
-    def _count(self, outcome: Outcome) -> None:
+    def _record_solution(self, outcome: Outcome) -> None:
         """Add the iterations of a solution to the record."""
         record, linear = self._record, self.newton.linear
         record.iterations += outcome.iterations
@@ -357,7 +359,7 @@ class QuasiStatic(Problem):
         """Write the new state of bodies, points and markers. Collective."""
         points, record = self.points, self._record
         if self.bodies.all:
-            self.scheme.count(self.bodies.commit(self.bodies.acting(operator)))
+            self.scheme.add_body_work(self.bodies.commit(self.bodies.acting(operator)))
         record.bodies = {}
         for contact in operator.contacts:
             record.bodies |= contact.record()

@@ -109,7 +109,7 @@ class Static(Scheme):
         """
         return new_state(problem, operator)
 
-    def count(self, work: float) -> None:
+    def add_body_work(self, work: float) -> None:
         """Add the work done by rigid bodies in a step (J)."""
 
     def fail(self) -> None:

@@ -94,14 +94,14 @@ def with_stabilisations(
         trial, stabilisation = (field.space.increment, field.space.test), field.stabilisation
         known = penalty_of(form, trial[0]) if stabilisation.E is None else None
         if (
-            field.beside is not None
+            field.second is not None
             and stabilisation.kind == "ghost"
             and stabilisation.factor is None
         ):
             # constraints have the effect of the larger factors for splines already
             stabilisation = replace(stabilisation, factor=1.0)
         extra = stabilisation.force_terms(points, *trial, known)
-        if field.beside is not None:
+        if field.second is not None:
             changes, extra = _sum(changes, extra), None
         form = form if extra is None else form + extra
         soft = _sum(soft, stabilisation.tangent_terms(points, *trial))
@@ -153,5 +153,5 @@ def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[UFLStress]:
     if any(form.spaces[k].increment.ufl_shape != shape for k in moving):
         return []
     made = [UFLStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
-    form.own = [one for one in made if one.known]
-    return form.own
+    form.ufl_stresses = [one for one in made if one.known]
+    return form.ufl_stresses

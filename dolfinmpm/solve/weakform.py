@@ -60,8 +60,8 @@ class WeakForm:
         softened: Whether there is soft stiffness.
         moduli: Moduli of the laws' tangents at facets, in terms of the form.
         also: Subdomain ids that other forms need on the same activations.
-        means: Weights of contact forces in the mean over a step in time, or None.
-        own: Stresses of points without a law, from terms in UFL.
+        contact_weights: Weights of mean contact forces over a step in time, or None.
+        ufl_stresses: Stresses of points without a law, from terms in UFL.
         updates: Fields of the points that a step sets to UFL expressions.
         placed: Number of changes of the grid's lines at the last check.
 
@@ -92,8 +92,8 @@ class WeakForm:
         self.terms: list[Term] = [*self.boundaries, *self.parts.terms, *grids]
         self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.means: MeanForceWeights | None = None
-        self.own: list[UFLStress] = []
+        self.contact_weights: MeanForceWeights | None = None
+        self.ufl_stresses: list[UFLStress] = []
         self.updates: Sequence[PointUpdates | UFLStress] = ()
         # none before the first step
         self._revision = -1
@@ -108,16 +108,16 @@ class WeakForm:
         """Add a term outside the UFL form, such as the mass."""
         self.terms.append(term)
 
-    def start_in_time(self, means: MeanForceWeights | None) -> None:
+    def start_in_time(self, weights: MeanForceWeights | None) -> None:
         """Prepare for steps in time.
 
         Args:
-            means: Weights of contact forces in the mean over a step; None if contact acts at the
+            weights: Weights of mean contact forces over a step; None if contact acts at the
                 start of a step.
         """
-        self.means = means
+        self.contact_weights = weights
         for term in self.terms:
-            term.start_in_time(means)
+            term.start_in_time(weights)
 
     def on(self, here: Activation) -> tuple[Evaluation, dict[Term, ActiveTerm]]:
         """The points' integrals, and the other terms, on an activation. Collective.
@@ -237,7 +237,7 @@ class WeakForm:
     @property
     def storing(self) -> list[Declaration | UFLStress]:
         """Laws, and terms in UFL of points without a law, which store energy."""
-        return [*self.parts.declarations, *self.own]
+        return [*self.parts.declarations, *self.ufl_stresses]
 
     @property
     def adaptive(self) -> list[Space]:

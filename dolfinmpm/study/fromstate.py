@@ -172,18 +172,18 @@ class FromState:
     def _at_rest(self) -> Iterator[None]:
         """Set prescribed increments to zero in this context, but keep pressures. Collective."""
         problem = self._problem
-        held = problem.held
+        held = problem.essential_conditions
         still = [
             condition
             if condition.kind == "value"
             else replace(condition, value=0.0, velocity=None, function=None)
             for condition in held.conditions
         ]
-        problem.held = EssentialConditions(still, problem.form.spaces)
+        problem.essential_conditions = EssentialConditions(still, problem.form.spaces)
         try:
             yield
         finally:
-            problem.held = held
+            problem.essential_conditions = held
 
     def _settlement(self) -> float:
         """Largest displacement of the elastic body under the loads (m). Collective.

@@ -228,7 +228,7 @@ class ActiveBoundaryTerm(Evaluation):
             if markers.configuration != "total":
                 to = destinations(markers.grid, fields["x"], markers["cell"], markers.partition)
                 raise_together(markers.comm, _outside(boundary, fields["x"], to, step))
-        new.beside.append((markers, fields, to))
+        new.markers.append((markers, fields, to))
 
 
 def _sizes(boundary: Boundary, field: ActiveField) -> Array:
