@@ -15,15 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "MOST_ROOTS",
-    "ROOT_BITS",
-    "ancestors_of",
-    "children_of",
-    "deepest",
-    "levels_of",
-    "parents_of",
-    "places_of",
-    "side_signs",
+    "MOST_ROOTS", "ROOT_BITS", "ancestors_of", "children_of", "deepest", "levels_of", "parents_of",
+    "places_of", "side_signs",
 ]  # fmt: skip
 
 Numbers = npt.NDArray[np.int64]

@@ -31,7 +31,6 @@ from dolfinmpm.cut.activation import (
     Basis,
     Field,
     LazyPattern,
-    RegionTerms,
     Terms,
 )
 from dolfinmpm.cut.activeboundaries import (
@@ -54,6 +53,7 @@ from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.pattern import Blocks, KeptCouplings, Pattern, lists_of, pairs_of
 from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.grid.partition import Partition
 
 __all__ = ["Draft", "activate", "active_region"]
@@ -368,7 +368,7 @@ class _Builder:
         )  # fmt: skip
 
 
-def active_region(region: RegionTerms, points: MaterialPoints, here: ActiveDomain) -> ActiveRegion:
+def active_region(region: PointTerms, points: MaterialPoints, here: ActiveDomain) -> ActiveRegion:
     """Stencils and means of a region of the body. Collective if it has means over cells.
 
     Args:

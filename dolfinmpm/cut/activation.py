@@ -22,6 +22,7 @@ from dolfinmpm.cut.cellcouplings import CellCouplings
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.grid.halo import Numbering
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ __all__ = [
     "Field",
     "LazyPattern",
     "Prolongate",
-    "RegionTerms",
     "Terms",
     "TermsOverBoundary",
     "movers",
@@ -51,29 +51,6 @@ Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], "sparse.spmatrix"]
 Entities = dict[int, npt.NDArray[np.int32]]
 
 
-class RegionTerms(Protocol):
-    """Points with the same terms in a weak form."""
-
-    @property
-    def averages(self) -> bool:
-        """Whether a law uses means over cells."""
-
-    @property
-    def by_centres(self) -> bool:
-        """Whether the means count each point only in the cell of its centre."""
-
-    @property
-    def tags(self) -> frozenset[int] | None:
-        """Tags of its points. None means all points, or all points except some."""
-
-    @property
-    def everywhere(self) -> bool:
-        """Whether all points belong to the region."""
-
-    def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
-        """Mask of the points of the region, or None for all points."""
-
-
 class TermsOverBoundary(Protocol):
     """Terms over a boundary that does not fit the grid."""
 
@@ -82,7 +59,7 @@ class TermsOverBoundary(Protocol):
         """The boundary."""
 
     @property
-    def regions(self) -> Sequence[RegionTerms]:
+    def regions(self) -> Sequence[PointTerms]:
         """Parts of the boundary with separate terms."""
 
     def sees(self, u: Any) -> bool:
@@ -100,7 +77,7 @@ class Terms(Protocol):
     """Interface of a weak form for activations."""
 
     @property
-    def regions(self) -> Sequence[RegionTerms]:
+    def regions(self) -> Sequence[PointTerms]:
         """Parts of the body with separate terms."""
 
     @property

@@ -31,11 +31,12 @@ from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.fractions import domain_shares
 from dolfinmpm.cut.prolongation import Prolongation
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 
 if TYPE_CHECKING:
-    from dolfinmpm.cut.activation import ActiveDomain, ActiveField, RegionTerms
+    from dolfinmpm.cut.activation import ActiveDomain, ActiveField
 
 __all__ = [
     "CellAverages",
@@ -193,7 +194,7 @@ def layers_needed(span: int, basis: Basis) -> int:
     return span - 1 + int(_over_splines(basis))
 
 
-def averaging_field(region: RegionTerms, here: ActiveDomain) -> ActiveField:
+def averaging_field(region: PointTerms, here: ActiveDomain) -> ActiveField:
     """The field whose cells the means of a region belong to."""
     found = here.fields[0]
     for field in (here.fields[k] for k in here.movers):
@@ -203,7 +204,7 @@ def averaging_field(region: RegionTerms, here: ActiveDomain) -> ActiveField:
 
 
 def averages_of(
-    region: RegionTerms, points: MaterialPoints, where: Placement, shared: Stencils, basis: Basis
+    region: PointTerms, points: MaterialPoints, where: Placement, shared: Stencils, basis: Basis
 ) -> CellAverages:
     """The means over cells of a region. Collective.
 

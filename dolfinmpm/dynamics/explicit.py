@@ -268,7 +268,8 @@ class Explicit(MovingBody, Problem):
     def _fused(self, sides: Sides, options: dict[str, Any]) -> FusedSteps | str:
         """The fused loops, or why there are none."""
         form, field, settings = self.form, self.fields[0], self.settings
-        reason = why_not(form, field, self.terms.kind, settings, self.essential_conditions, options)
+        conditions = self.essential_conditions
+        reason = why_not(form, field, self.terms.kind, settings, conditions, options)
         if reason is None and sides.incoming:
             reason = "waves come in through a side"
         if reason is None and sides.rubbing and settings.scheme == "usf":
@@ -282,15 +283,7 @@ class Explicit(MovingBody, Problem):
         basis, domains = field.space.basis, field.space.domains
         assert isinstance(basis, LatticeBasis)
         return FusedSteps(
-            self.points,
-            basis,
-            self.essential_conditions,
-            laws,
-            loads,
-            settings,
-            sides,
-            domains,
-            rigid,
+            self.points, basis, conditions, laws, loads, settings, sides, domains, rigid
         )
 
     @collective

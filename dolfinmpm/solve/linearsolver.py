@@ -140,8 +140,7 @@ class LinearSolver:
             choice.weigh(self.reuse)
         method, former = choice.method(count), self.method
         self.method = method
-        same = method is former or (former is not None and method.like(former))
-        if same and self.snes is not None:
+        if former is not None and method.like(former) and self.snes is not None:
             return
         self.matrix = self.true = None
         self.snes = krylov.create(self.comm, method, options, choice.tangent.softened)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 from mpi4py import MPI
 
@@ -122,8 +121,6 @@ class MethodChoice:
         if options.mentions("mat_mumps_"):
             self.no_substructures = "the options set MUMPS"
         self._incomplete = IncompleteFactorsChoice()
-        # the arguments of the last choice, and the method
-        self._last: tuple[Any, Method] | None = None
 
     @property
     def definite(self) -> bool:
@@ -140,20 +137,12 @@ class MethodChoice:
         # the user's choice is not changed
         free = self._options.names.isdisjoint(_OF_METHOD)
         incomplete = free and self._incomplete.incomplete and not self.no_incomplete
-        tangent, direct = replace(self.tangent, definite=self.definite), self.no_iterations.left > 0
-        asked = tangent, count, direct, incomplete, self.no_substructures
-        if self._last is None or asked != self._last[0]:
-            self._last = asked, self._chosen(*asked)
-        return self._last[1]
-
-    def _chosen(
-        self, tangent: Tangent, count: int, direct: bool, incomplete: bool, no_substructures: str
-    ) -> Method:
-        """See `method` and `choose`; the same arguments have the same method."""
-        gdim, ranks = self._gdim, self._ranks
-        found = choose(tangent, count, gdim, ranks, direct, incomplete, not no_substructures)
-        if ranks > 1 and no_substructures and tangent.definite and found.pc == "cholesky":
-            why = f"{found.why}, not in substructures: {no_substructures}"
+        found = choose(
+            replace(self.tangent, definite=self.definite), count, self._gdim, self._ranks,
+            self.no_iterations.left > 0, incomplete, not self.no_substructures,
+        )  # fmt: skip
+        if self._ranks > 1 and self.no_substructures and self.definite and found.pc == "cholesky":
+            why = f"{found.why}, not in substructures: {self.no_substructures}"
             return replace(found, why=why)
         return found
 
