@@ -17,10 +17,9 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm.assembly.facetcouplings import Couplings, couplings_of, facet_patch
 from dolfinmpm.assembly.facetpenalties import INTERVALS, by_ratio, lattice_pair
 from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
-from dolfinmpm.assembly.latticefacets import LatticeFacet
+from dolfinmpm.assembly.latticefacets import Couplings, LatticeFacet, couplings_of, facet_patch
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS

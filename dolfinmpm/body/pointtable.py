@@ -26,9 +26,8 @@ from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.familyids import ancestors_of
 from dolfinmpm.body.fieldarrays import FieldArrays
-from dolfinmpm.body.fields import PointField
+from dolfinmpm.body.fields import PointField, no_field
 from dolfinmpm.body.location import Destinations, migrate
-from dolfinmpm.body.missingfields import no_field
 from dolfinmpm.body.pointchecks import OF_STRAIN, astray, error_in_fields
 from dolfinmpm.body.pointsymbols import PointSymbols
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import (
     ConflictingConditionsError,
+    ParameterError,
     UnsupportedGridError,
     raise_together,
 )
@@ -21,9 +23,10 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.cut.activecells import active_nodes
-from dolfinmpm.cut.leafconditions import on_leaves
+from dolfinmpm.grid.sides import side_of
+from dolfinmpm.grid.userfunctions import call_function, choose
 
-__all__ = ["EssentialConditions", "renumbered"]
+__all__ = ["EssentialConditions", "nodes_at_side", "on_leaves", "renumbered"]
 
 Basis = LatticeBasis | LinearBasis | LeafBasis
 Flags = npt.NDArray[np.bool_]
@@ -238,3 +241,45 @@ class EssentialConditions:
             values[nodes, column] = value
             owner[nodes, column] = number
         return error
+
+
+def nodes_at_side(basis: LeafBasis, axis: int, end: int) -> npt.NDArray[np.int32]:
+    """Nodes of leaves at a side of the grid, among all nodes that this rank knows, shape (n,).
+
+    For splines these are the functions that do not vanish at the side.
+
+    Args:
+        basis: The basis on the leaves.
+        axis, end: Direction of the side's normal, and 0 for its lower or 1 for its upper end.
+    """
+    line, x = basis.lattice.lines[axis], basis.node_coordinates()[:, axis]
+    chosen = np.abs(x - line[-end]) <= 1e-9 * (line[-1] - line[0])
+    return np.flatnonzero(chosen).astype(np.int32)
+
+
+def on_leaves(condition: Condition, basis: LeafBasis) -> Condition:
+    """The condition with its nodes and values on the present leaves.
+
+    Args:
+        condition: A condition of a refined space.
+        basis: The basis on the leaves.
+
+    Raises:
+        ParameterError: Its values were given as one number per node of the grid.
+    """
+    x = basis.node_coordinates()[:, : basis.grid.geometry.dim]
+    if callable(condition.chooses):
+        chosen = choose("the function of places", condition.chooses, x)
+        nodes = np.flatnonzero(chosen).astype(np.int32)
+    else:
+        nodes = nodes_at_side(basis, *side_of(condition.chooses, x.shape[1])[1:])
+    value = condition.value
+    if condition.function is not None:
+        what = f"the {condition.kind} prescribed at '{condition.where}'"
+        value = call_function(what, condition.function, x[nodes])
+    elif not isinstance(value, fem.Constant) and np.ndim(value) > 0:
+        raise ParameterError(
+            f"the {condition.kind} prescribed at '{condition.where}' is one number per node of the "
+            "grid, and the nodes of a refined space change: give a function of positions"
+        )
+    return replace(condition, nodes=nodes, value=value)

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm.basis import LeafBasis
 from dolfinmpm.body.axisymmetry import ring
-from dolfinmpm.cut.essentialconditions import renumbered
-from dolfinmpm.cut.leafconditions import nodes_at_side
+from dolfinmpm.cut.essentialconditions import nodes_at_side, renumbered
 from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 from dolfinmpm.dynamics.incomingwaves import IncomingWaves
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks

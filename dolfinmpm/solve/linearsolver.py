@@ -357,7 +357,8 @@ class LinearSolver:
 
     def warn_of_unread_options(self) -> None:
         """Warn of options that PETSc has not read, see `Options`."""
-        self._options.warn_of_unread(self.comm)
+        if self._options.unread:
+            self._options.warn_of_unread(self.comm)
 
     def why(self, error: PETSc.Error) -> str:
         """Reason of a failed factorisation; other errors are raised again."""

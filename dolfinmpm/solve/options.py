@@ -45,6 +45,7 @@ class Options:
     Attributes:
         prefix: The prefix of this problem.
         names: Names of the options that the user has set, in small letters.
+        unread: Options of this problem that may not have been read by a solver.
     """
 
     def __init__(self, owner: Any, common: str, given: Mapping[str, Any]):
@@ -60,7 +61,7 @@ class Options:
             database[self.prefix + name] = value
         self.names = frozenset(name.lower() for name in values)
         self._suggested: set[str] = set()
-        self._unread = dict(given)
+        self.unread = dict(given)
         _of_problems.add(self.prefix)
         weakref.finalize(owner, _remove, self.prefix)
 
@@ -75,7 +76,7 @@ class Options:
         Args:
             comm: Communicator of the problem.
         """
-        given, self._unread = self._unread, {}
+        given, self.unread = self.unread, {}
         for name, value in given.items():
             if option_was_read(self.prefix + name):
                 continue

@@ -31,7 +31,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.cut.activate import activate
-from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with_constraints
+from dolfinmpm.cut.activation import Activation, Prolongate, movers
 from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.pattern import KeptCouplings
@@ -51,7 +51,6 @@ from dolfinmpm.solve.arguments import (
     stabilisations_of,
 )
 from dolfinmpm.solve.description import summary
-from dolfinmpm.solve.heldfaces import refuse_held_faces
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import (
@@ -64,7 +63,14 @@ from dolfinmpm.solve.problemchecks import (
 )
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
-from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
+from dolfinmpm.solve.setup import (
+    Stabilisations,
+    fields_of,
+    refuse_held_faces,
+    updates_of,
+    with_moduli,
+    with_stabilisations,
+)
 from dolfinmpm.solve.step import Step, StepRecord
 from dolfinmpm.solve.weakform import WeakForm
 from dolfinmpm.terms.referencemarkers import require_reference
@@ -135,10 +141,7 @@ class Problem(ReadOnce):
         self.points = points
         self.history: list[StepRecord] = []
         stabilisations = with_moduli(stabilisations, spaces, form, points)
-        self.fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
-        if scheme.ties_movers:
-            for k in movers(spaces):
-                self.fields[k] = with_constraints(self.fields[k])
+        self.fields = fields_of(spaces, stabilisations, prolongation, scheme.ties_movers)
         whole, soft, changes = with_stabilisations(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)

@@ -37,9 +37,9 @@ from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.restart import SolverState
 from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.setup import Stabilisations
-from dolfinmpm.solve.solverstate import SolverState
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 from dolfinmpm.terms.gridterm import fill_functions
 

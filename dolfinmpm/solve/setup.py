@@ -1,4 +1,4 @@
-"""Preparation of a problem's form: stabilisations with moduli, and updates of fields."""
+"""Preparation of a problem's form: stabilisations with moduli, updates of fields, and a check."""
 
 from __future__ import annotations
 
@@ -12,17 +12,26 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.footing import seats
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Field, movers
+from dolfinmpm.cut.activation import Field, Prolongate, movers, with_constraints
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
 from dolfinmpm.forms.ghostterms import penalty_of
 from dolfinmpm.forms.hoop import check_hoop
+from dolfinmpm.kinematics.fbar import VOLUMES
 from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Stabilisations", "updates_of", "with_moduli", "with_stabilisations"]
+__all__ = [
+    "Stabilisations",
+    "fields_of",
+    "refuse_held_faces",
+    "updates_of",
+    "with_moduli",
+    "with_stabilisations",
+]
 
 Stabilisations = Stabilisation | str | Sequence[Stabilisation | str]
 
@@ -78,6 +87,25 @@ def _with_modulus(
         )
     E, nu = max(moduli)
     return replace(stabilisation, E=E, nu=nu)
+
+
+def fields_of(
+    spaces: Sequence[Space],
+    stabilisations: Sequence[Stabilisation],
+    prolongation: Prolongate | None,
+    ties_movers: bool,
+) -> list[Field]:
+    """The fields of a problem.
+
+    Args:
+        spaces, stabilisations: The spaces of the fields, and their stabilisations.
+        prolongation: See `QuasiStatic`.
+        ties_movers: Whether nodes with little support are constrained in fields that move points.
+    """
+    fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
+    for k in movers(spaces) if ties_movers else ():
+        fields[k] = with_constraints(fields[k])
+    return fields
 
 
 def with_stabilisations(
@@ -155,3 +183,25 @@ def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[UFLStress]:
     made = [UFLStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
     form.ufl_stresses = [one for one in made if one.known]
     return form.ufl_stresses
+
+
+def refuse_held_faces(given: ufl.Form, form: WeakForm) -> None:
+    """Raise if a form with fbar="volumes" holds faces of the body at a place.
+
+    Args:
+        given: Weak form of the user.
+        form: The same, prepared.
+
+    Raises:
+        ParameterError: Mean volumes scale F after a step, which moves the faces F R without a
+            motion. A stiff footing makes large forces of that.
+    """
+    kept = next((d for d in form.parts.declarations if d.fbar == VOLUMES), None)
+    holders = [f"the footing with the field {name}" for name in seats(given)]
+    holders += [str(term) for term in form.terms if term.holds_faces]
+    if kept is not None and holders:
+        raise ParameterError(
+            f'fbar = "{VOLUMES}" of {kept.law!r} and {holders[0]}: mean volumes change F after a '
+            "step, which shifts the faces of points, and what holds these faces would resist. "
+            "Take fbar=True, or a RigidBody with mpm.contact"
+        )
