@@ -26,7 +26,6 @@ from dolfinmpm.assembly.facettensors import facet_moduli
 from dolfinmpm.assembly.leafcellblock import LeafCellBlock
 from dolfinmpm.assembly.leaffacetblock import LeafFacetBlock, check_on_leaves
 from dolfinmpm.assembly.splinefacets import FacetBlock, uses_facet_classes
-from dolfinmpm.basis import LatticeBasis, LeafBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.cut.activation import ActiveField
@@ -333,22 +332,17 @@ class GridAssembler:
         made = []
         entities = self._attached or []
         for (i, j, _), block in self._blocks().items():
-            if isinstance(block, FacetBlock):
-                basis = fields[i].basis
-                assert isinstance(basis, LatticeBasis)
-                block.attach(entities[i], basis)
-                T = [fields[i].C, fields[j].C]
-            elif isinstance(block, _OnLeaves):
-                leaves = fields[i].basis
-                assert isinstance(leaves, LeafBasis)
-                block.attach(entities[i], leaves)
-                T = [fields[i].C, fields[j].C]
-            else:
+            if isinstance(block, _CompiledForm):
                 # two fields: take the facets of the field that sees fewer cells, which is a field
                 # whose points have no domains
                 fewer = min((i, j), key=lambda k: fields[k].basis.averaged)
                 block.attach(entities[fewer])
                 T = [fields[i].to_grid, fields[j].to_grid]
+            else:
+                # lattices have blocks of lattices, and leaves have those of leaves
+                basis: Any = fields[i].basis
+                block.attach(entities[i], basis)
+                T = [fields[i].C, fields[j].C]
             whole = Blocks(i, j, block.rows, block.columns, block.matrix())
             same = T[0] is None and T[1] is None
             made.append(whole if same else reduce_blocks(T[0], T[1], whole))

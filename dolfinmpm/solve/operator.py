@@ -145,8 +145,7 @@ class Operator:
 
         Increments are zero. Fields that the form carries have their values at the points.
         """
-        self.here.unknowns.clear(self._u)
-        self._interpolate()
+        self.move_to_zero()
         for value, name in zip(self.points.value, self.form.values):
             if name is not None:
                 value[...] = self.form.points[name].reshape(value.shape)

@@ -31,7 +31,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.cut.activate import activate
-from dolfinmpm.cut.activation import Activation, Prolongate, movers
+from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with_constraints
 from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.pattern import KeptCouplings
@@ -39,6 +39,7 @@ from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_laws, check_levels
 from dolfinmpm.forms.hoop import check_hoops
 from dolfinmpm.grid.lattice import times_regridded
+from dolfinmpm.solve import setup
 from dolfinmpm.solve.adaptation import Adaptation, adapt
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
@@ -63,14 +64,6 @@ from dolfinmpm.solve.problemchecks import (
 )
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
-from dolfinmpm.solve.setup import (
-    Stabilisations,
-    fields_of,
-    refuse_held_faces,
-    updates_of,
-    with_moduli,
-    with_stabilisations,
-)
 from dolfinmpm.solve.step import Step, StepRecord
 from dolfinmpm.solve.weakform import WeakForm
 from dolfinmpm.terms.referencemarkers import require_reference
@@ -120,7 +113,7 @@ class Problem(ReadOnce):
         bcs: Sequence[Condition] = (),
         *,
         updates: dict[str, Expr] | None = None,
-        stabilisation: Stabilisations = "none",
+        stabilisation: setup.Stabilisations = "none",
         prolongation: Prolongate | None = None,
         scheme: Scheme,
     ):
@@ -140,13 +133,16 @@ class Problem(ReadOnce):
         check_callable("prolongation", prolongation)
         self.points = points
         self.history: list[StepRecord] = []
-        stabilisations = with_moduli(stabilisations, spaces, form, points)
-        self.fields = fields_of(spaces, stabilisations, prolongation, scheme.ties_movers)
-        whole, soft, changes = with_stabilisations(form, self.fields, points)
+        stabilisations = setup.with_moduli(stabilisations, spaces, form, points)
+        self.fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
+        if scheme.ties_movers:
+            for k in movers(spaces):
+                self.fields[k] = with_constraints(self.fields[k])
+        whole, soft, changes = setup.with_stabilisations(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
         check_field_tags(self.fields, self.form)
-        refuse_held_faces(form, self.form)
+        setup.refuse_held_faces(form, self.form)
         check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
         rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
         self.bodies = RigidBodies(rigid, points.grid)
@@ -158,7 +154,7 @@ class Problem(ReadOnce):
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None
         self.essential_conditions = EssentialConditions(bcs, spaces)
-        self.form.updates = updates_of(self.form, updates)
+        self.form.updates = setup.updates_of(self.form, updates)
         loads = loads_of(self.form.loads)
         check_bcs_and_loads(bcs, loads, self.configuration)
         self.loads = Loads(loads, increments)

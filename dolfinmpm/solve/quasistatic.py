@@ -27,8 +27,13 @@ from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.description import size_and_solver
-from dolfinmpm.solve.easing import FIRST, begins_unbalanced, ease
-from dolfinmpm.solve.failures import failed_step, why_step_failed
+from dolfinmpm.solve.failures import (
+    FIRST,
+    begins_unbalanced,
+    ease,
+    failed_step,
+    why_step_failed,
+)
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.method import Tangent, symmetric
@@ -58,8 +63,8 @@ class QuasiStatic(Problem):
 
     An attempt that does not converge changes nothing, and its substep is halved. If the smallest
     substep fails too, substeps may release by shares what is out of balance, see
-    `dolfinmpm.solve.easing`. After a substep that converges the next one is twice as long, at most
-    a whole step. The next step begins with this length.
+    `dolfinmpm.solve.failures`. After a substep that converges the next one is twice as long, at
+    most a whole step. The next step begins with this length.
 
     The DOLFINx constants and functions in the form carry the load. In substeps they go from their
     values at the last converged step to the values set by the user. Prescribed increments are

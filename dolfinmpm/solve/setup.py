@@ -14,7 +14,7 @@ from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.footing import seats
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Field, Prolongate, movers, with_constraints
+from dolfinmpm.cut.activation import Field, movers
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
@@ -26,7 +26,6 @@ from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = [
     "Stabilisations",
-    "fields_of",
     "refuse_held_faces",
     "updates_of",
     "with_moduli",
@@ -87,25 +86,6 @@ def _with_modulus(
         )
     E, nu = max(moduli)
     return replace(stabilisation, E=E, nu=nu)
-
-
-def fields_of(
-    spaces: Sequence[Space],
-    stabilisations: Sequence[Stabilisation],
-    prolongation: Prolongate | None,
-    ties_movers: bool,
-) -> list[Field]:
-    """The fields of a problem.
-
-    Args:
-        spaces, stabilisations: The spaces of the fields, and their stabilisations.
-        prolongation: See `QuasiStatic`.
-        ties_movers: Whether nodes with little support are constrained in fields that move points.
-    """
-    fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
-    for k in movers(spaces) if ties_movers else ():
-        fields[k] = with_constraints(fields[k])
-    return fields
 
 
 def with_stabilisations(
