@@ -1,4 +1,4 @@
-"""Python's collector of cycles does nothing while libraries are loaded, nor with them later."""
+"""Garbage: Python's collector of cycles, and PETSc's objects on several ranks."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import contextlib
 import gc
 import sys
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-__all__ = ["idle_collector"]
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+__all__ = ["free_petsc", "idle_collector"]
 
 
 @contextlib.contextmanager
@@ -29,3 +33,14 @@ def idle_collector() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
+
+
+def free_petsc(comm: MPI.Intracomm) -> None:
+    """Free PETSc's objects that Python has let go of on several ranks. Collective.
+
+    Ranks let go of them at different times, and PETSc frees together: petsc4py keeps what belongs
+    to several ranks until it is told that all of them are here. Alone it frees at once.
+    """
+    from petsc4py import PETSc
+
+    PETSc.garbage_cleanup(comm)

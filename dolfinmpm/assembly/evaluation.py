@@ -30,8 +30,8 @@ class Evaluation(ActiveTerm):
     """The point terms of a weak form on an activation.
 
     Fluxes and tangents are pure functions of the points' state and the nodal increments.
-    `interpolate` sets the increments for the other methods. Results of laws are kept until the
-    next `interpolate` or `commit`. A tangent, or the end of a step, at the increments of the last
+    `move` sets the increments for the other methods. Results of laws are kept until the
+    next `move` or `end_state`. A tangent, or the end of a step, at the increments of the last
     residual therefore calls no law again. The state must not change in between.
 
     Args:
@@ -148,7 +148,7 @@ class Evaluation(ActiveTerm):
             region.moduli(out)
         return out
 
-    def commit(self) -> dict[str, Array]:
+    def end_state(self) -> dict[str, Array]:
         """New values of the laws' fields at the end of the step, by name.
 
         If a value is not finite, `failure` has the point.
@@ -156,7 +156,7 @@ class Evaluation(ActiveTerm):
         self.failure = None
         new: dict[str, Array] = {}
         for region in self.regions:
-            region.commit(new)
+            region.add_end_state(new)
             self.failure = self.failure or region.failure
         return new
 

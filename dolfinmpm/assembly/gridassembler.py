@@ -21,7 +21,6 @@ from dolfinmpm.assembly.facettensors import facet_moduli
 from dolfinmpm.assembly.leafcellblock import LeafCellBlock
 from dolfinmpm.assembly.leaffacetblock import LeafFacetBlock, check_on_leaves
 from dolfinmpm.assembly.splinefacets import FacetBlock, uses_facet_classes
-from dolfinmpm.basis import LatticeBasis, LeafBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.cut.activation import ActiveField
@@ -203,11 +202,12 @@ class GridAssembler:
 
     Attributes:
         terms: The terms.
+        empty: Whether there are none.
         moving: Subdomain ids of ghost facets and active cells in the terms.
     """
 
     def __init__(self, terms: GridTerms, spaces: Sequence[Space]):
-        self.terms = terms
+        self.terms, self.empty = terms, not terms
         self._spaces = list(spaces)
         self._external = self._linear_forms(terms.external)
         # terms that are linear in the increments act only by their Jacobian
@@ -236,6 +236,11 @@ class GridAssembler:
     @property
     def _vectors(self) -> list[_CompiledForm]:
         return [*self._external.values(), *self._internal.values()]
+
+    @property
+    def has_vectors(self) -> bool:
+        """Whether terms give forces, and not only constant blocks of the tangent."""
+        return bool(self._external or self._internal)
 
     @property
     def loads(self) -> list[fem.Constant | fem.Function]:
@@ -282,7 +287,7 @@ class GridAssembler:
         Args:
             fields: Active fields.
         """
-        if not self.terms:
+        if self.empty:
             return
         entities = [field.entities for field in fields]
         old = self._attached
@@ -322,24 +327,20 @@ class GridAssembler:
         made = []
         entities = self._attached or []
         for (i, j, _), block in self._blocks().items():
-            if isinstance(block, FacetBlock):
-                basis = fields[i].basis
-                assert isinstance(basis, LatticeBasis)
-                block.attach(entities[i], basis)
-                T = [fields[i].C, fields[j].C]
-            elif isinstance(block, _OnLeaves):
-                leaves = fields[i].basis
-                assert isinstance(leaves, LeafBasis)
-                block.attach(entities[i], leaves)
-                T = [fields[i].C, fields[j].C]
-            else:
+            if isinstance(block, _CompiledForm):
                 # two fields: take the facets of the field that sees fewer cells, which is a field
                 # whose points have no domains
                 fewer = min((i, j), key=lambda k: fields[k].basis.averaged)
                 block.attach(entities[fewer])
                 T = [fields[i].to_grid, fields[j].to_grid]
+            else:
+                # lattices have blocks of lattices, and leaves have those of leaves
+                basis: Any = fields[i].basis
+                block.attach(entities[i], basis)
+                T = [fields[i].C, fields[j].C]
             whole = Blocks(i, j, block.rows, block.columns, block.matrix())
-            made.append(reduce_blocks(T[0], T[1], whole))
+            same = T[0] is None and T[1] is None
+            made.append(whole if same else reduce_blocks(T[0], T[1], whole))
         return made
 
     def add_external(self, fields: Sequence[ActiveField], out: Sequence[Array]) -> None:

@@ -17,7 +17,7 @@ from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellcouplings import add_outer
 from dolfinmpm.cut.facetmoduli import isotropic_moduli
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator, if_kept
+from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
 
@@ -73,11 +73,12 @@ class Region:
         self._points, self._unknowns = points, unknowns
         self._rows = np.sort(part.stencils[0].order)
         widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
+        self._chunks = _chunks_of(part.stencils[0].groups)
         self._columns: list[int] = [sum(widths[:k]) for k in range(len(widths))]
         # intermediate results of laws, in the order of the stencils, and numbers of the operators
         # whose results belong to the present increments
         self._kept: dict[int, Array] = {}
-        self._known: set[int] = set()
+        self._current: set[int] = set()
         self._data = dict(shared)
         for k, (function, gradient) in enumerate(terms.placeholders.functions):
             self._data["function", k] = function_values(function, gradient, points)
@@ -88,7 +89,7 @@ class Region:
 
     def update_constants(self) -> None:
         """Read the form's constants again."""
-        self._known.clear()
+        self._current.clear()
         for k, constant in enumerate(self.terms.placeholders.constants):
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
@@ -97,13 +98,13 @@ class Region:
 
         Collective if a law needs means.
         """
-        self._known.clear()
+        self._current.clear()
         for k in self.terms.by_mean:
-            means = self.part.means
-            assert means is not None
+            averages = self.part.averages
+            assert averages is not None
             everywhere = np.arange(len(self._points))
             law = self.averaging(k)
-            law.prepare(self.operand(k, everywhere), means.mean)
+            law.prepare(self.operand(k, everywhere), averages.mean)
 
     def averaging(self, k: int) -> AveragingLaw:
         """The law of the k-th operator, which takes means over cells."""
@@ -127,19 +128,6 @@ class Region:
             for key in keys
         }
 
-    def _chunks(self) -> Iterator[tuple[int, int]]:
-        """Ranges of groups with some thousand points each."""
-        every = list(self._all_chunks())
-        return iter(every[:: max(len(every) // _SAMPLE, 1)] if self.sampled else every)
-
-    def _all_chunks(self) -> Iterator[tuple[int, int]]:
-        groups, first = self.part.stencils[0].groups, 0
-        while first < groups.size - 1:
-            last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
-            last = max(last, first + 1)
-            yield first, last
-            first = last
-
     def run(
         self, programs: Sequence[Program], tangent: bool
     ) -> Iterator[tuple[int, int, list[Array]]]:
@@ -154,10 +142,13 @@ class Region:
         # some programs, such as dead loads, need no law
         asked = sorted({key[1] for key in inputs if key[0].startswith("operator")})
         plain = [key for key in inputs if not key[0].startswith("operator")]
-        known = self._known & set(asked)
+        known = self._current & set(asked)
         # a law that fails in a chunk leaves the later chunks without new results
-        self._known -= set(asked)
-        for first, last in self._chunks():
+        self._current -= set(asked)
+        chunks = self._chunks
+        if self.sampled:
+            chunks = chunks[:: max(len(chunks) // _SAMPLE, 1)]
+        for first, last in chunks:
             stages.evaluate.enter()
             try:
                 rows = s.order[s.groups[first] : s.groups[last]]
@@ -184,7 +175,7 @@ class Region:
                 stages.evaluate.leave()
             yield first, last, out
         if not self.sampled:
-            self._known |= {k for k in asked if k in self._kept}
+            self._current |= {k for k in asked if k in self._kept}
 
     def _kept_in(
         self, k: int, first: int, last: int, known: bool, again: bool = False
@@ -198,7 +189,8 @@ class Region:
             again: Whether they are read again, though no tangent has been asked for so far.
         """
         law, s = self.terms.operators[k].law, self.part.stencils[0]
-        wanted = known or again or self.terms.sloped
+        # a cached property: explicit steps never ask for a tangent
+        wanted = known or again or "tangent" in vars(self.terms)
         if not (wanted and isinstance(law, KeepingLaw) and law.keeps):
             return None
         if k not in self._kept:
@@ -216,16 +208,13 @@ class Region:
         if operator.tags is not None:
             own = np.isin(self._points["tag"][rows], operator.tags)
         if own is None or own.all():
-            further = {} if by_mean is None else {"by_mean": by_mean}
-            return law.evaluate(operand, value, slope, rows, **if_kept(kept), **further)
+            return law.evaluate(operand, value, slope, rows, **_asked(kept, by_mean))
         mine = np.flatnonzero(own)
         whole = value, slope, by_mean
         part = [None if a is None else np.empty((mine.size, *a.shape[1:])) for a in whole]
         of_mine = _taken_of(kept, mine)
-        further = {} if by_mean is None else {"by_mean": part[2]}
-        bad = law.evaluate(
-            operand[mine], part[0], part[1], rows[mine], **if_kept(of_mine), **further
-        )
+        asked = _asked(of_mine, part[2])
+        bad = law.evaluate(operand[mine], part[0], part[1], rows[mine], **asked)
         if kept is not None and of_mine is not None and not kept.known:
             kept.values[mine] = of_mine.values
         for a, values in zip(whole, part):
@@ -264,7 +253,8 @@ class Region:
         means = list(terms.by_mean)
         if not pairs:
             return
-        left = {k: [c.forces(f.components) for c, f in self._coupled()] for k in means}
+        both = list(zip(couplings or (), self._unknowns.fields))
+        left = {k: [c.forces(f.components) for c, f in both] for k in means}
         programs = [terms.tangent[pair].program for pair in pairs]
         programs += [terms.by_mean[k] for k in means]
         for first, last, values in self.run(programs, True):
@@ -289,17 +279,13 @@ class Region:
                     to.data, to.prescribed, to.lift,
                 )  # fmt: skip
 
-    def _coupled(self):
-        assert self.part.couplings is not None
-        return zip(self.part.couplings, self._unknowns.fields)
-
     def _mean_slope(self, k: int, field: int) -> Array:
         """Derivatives of the k-th operator's sums over cells by the nodal increments of a field."""
         assert self.part.couplings is not None
         s, coupling = self.part.stencils[field], self.part.couplings[field]
         d, components = self._points.gdim, self._unknowns.fields[field].components
         slopes = self.averaging(k).measure_slope(self.operand(k, s.order))
-        slopes *= coupling.means.weight[s.order, None]
+        slopes *= coupling.averages.weight[s.order, None]
         flux = np.zeros((len(slopes), components, 1 + d))
         # the explicit size serves ranks without points, where -1 does not work
         flat = flux.reshape(len(flux), components * (1 + d))
@@ -331,13 +317,15 @@ class Region:
     def moduli(self, out: Array) -> None:
         """Write the moduli M and G of the laws' tangents (Pa), shape (points, 2)."""
         s, points, d = self.part.stencils[0], self._points, self._points.strain_dim
-        chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
+        # stresses of laws, and not their derivatives
+        laws = [o.declaration and o.declaration.operator for o in self.terms.operators]
+        chosen = [k for k, o in enumerate(self.terms.operators) if o is laws[k]]
         # one array for all chunks: memory that the system gives anew would take time
-        largest = max((s.groups[b] - s.groups[a] for a, b in self._chunks()), default=0)
+        largest = max((s.groups[b] - s.groups[a] for a, b in self._chunks), default=0)
         slopes = np.empty((largest, d * d, d * d))
         for k in chosen:
-            known = k in self._known
-            for first, last in self._chunks():
+            known = k in self._current
+            for first, last in self._chunks:
                 rows = s.order[s.groups[first] : s.groups[last]]
                 operand = self.operand(k, rows)
                 value, slope = np.empty((rows.size, d * d)), slopes[: rows.size]
@@ -353,9 +341,9 @@ class Region:
                 found = isotropic_moduli(slope.reshape(-1, d, d, d, d))
                 share = points["V0"][rows] / points["V"][rows]
                 out[rows] += share[:, None] * found
-            self._known |= {k} & self._kept.keys()
+            self._current |= {k} & self._kept.keys()
 
-    def commit(self, new: dict[str, Array]) -> None:
+    def add_end_state(self, new: dict[str, Array]) -> None:
         """Write the laws' fields at the end of the step into new arrays.
 
         Args:
@@ -364,18 +352,18 @@ class Region:
         self.failure = None
         s, points = self.part.stencils[0], self._points
         # a rank without points needs the fields too
-        chunks = list(self._chunks()) or [(0, 0)]
+        chunks = self._chunks or [(0, 0)]
         for k, operator in enumerate(self.terms.operators):
             law: Any = operator.law
             whole = operator.tags is None and s.order.size == len(points)
             for first, last in chunks:
                 rows = s.order[s.groups[first] : s.groups[last]]
-                kept = self._kept_in(k, first, last, True) if k in self._known else None
+                kept = self._kept_in(k, first, last, True) if k in self._current else None
                 if operator.tags is not None:
                     mine = np.flatnonzero(np.isin(points["tag"][rows], operator.tags))
                     rows, kept = rows[mine], _taken_of(kept, mine)
                 operand = self.operand(k, rows)
-                found = law.commit(operand, rows, **if_kept(kept))
+                found = law.commit(operand, rows, **_asked(kept, None))
                 for name, values in found.items():
                     if name not in new:
                         shape = len(points), *values.shape[1:]
@@ -386,13 +374,25 @@ class Region:
                         bad = int(np.argmin(finite))
                         self._fail(operator, int(rows[bad]), operand[bad])
         # the state of the points may change after this
-        self._known.clear()
+        self._current.clear()
         self._kept.clear()
 
 
-def _is_stress(operator: PointOperator) -> bool:
-    """Whether an operator is the stress of a law, and not its derivative."""
-    return operator.declaration is not None and operator.declaration.operator is operator
+def _chunks_of(groups: npt.NDArray[np.integer]) -> list[tuple[int, int]]:
+    """Ranges of groups with some thousand points each."""
+    chunks, first = [], 0
+    while first < groups.size - 1:
+        last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
+        last = max(last, first + 1)
+        chunks.append((first, last))
+        first = last
+    return chunks
+
+
+def _asked(kept: KeptTangents | None, by_mean: Array | None) -> dict[str, Any]:
+    """Keywords of a call of a law; laws that keep nothing, or take no means, do not know them."""
+    given = {"kept": kept, "by_mean": by_mean}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _taken_of(kept: KeptTangents | None, rows: npt.NDArray[np.integer]) -> KeptTangents | None:

@@ -11,15 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import numba
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm.assembly.facetcouplings import Couplings, couplings_of, facet_patch
 from dolfinmpm.assembly.facetpenalties import INTERVALS, by_ratio, lattice_pair
 from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
-from dolfinmpm.assembly.latticefacets import LatticeFacet
+from dolfinmpm.assembly.latticefacets import Couplings, LatticeFacet, couplings_of, facet_patch
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS
@@ -59,6 +59,42 @@ def _kinds(line: Array, degree: int) -> tuple[Ints, Ints]:
         return np.unique(windows, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
 
     return number(2 * reach + 1), number(2 * reach + 2)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _sum(kind, direction, start, facet, position, slot, tensors, scale, begin, slots, sums, out):
+    """Sum the facets' scaled tensors between every touched node and its coupled nodes."""
+    m, n = tensors.shape[3], tensors.shape[4]
+    sums[:] = 0.0
+    for row in range(start.size - 1):
+        for e in range(start[row], start[row + 1]):
+            f, a = facet[e], position[e]
+            for part in range(scale.shape[1]):
+                factor = scale[f, part]
+                for b in range(m):
+                    s = slot[direction[f], a, b]
+                    for q in range(n):
+                        sums[s, q] += factor * tensors[kind[f], part, a, b, q]
+        for at in range(begin[row], begin[row + 1]):
+            for q in range(n):
+                out[at, q] = sums[slots[at], q]
+                sums[slots[at], q] = 0.0
+
+
+def _sums(couplings: Couplings, kind: Ints, tensors: Array, scale: Array) -> Array:
+    """Sums of the facets' tensors, shape (entries, n).
+
+    Args:
+        couplings: Entries of the matrix.
+        kind: Row of each facet in `tensors`.
+        tensors: Tensors, shape (kinds, parts, m, m, n).
+        scale: Factors, shape (facets, parts).
+    """
+    work = np.empty((couplings.patch.slots, tensors.shape[-1]))
+    out = np.empty((couplings.rows.size, tensors.shape[-1]))
+    near = kind, couplings.direction, *couplings.facets_of_nodes, couplings.patch.slot
+    _sum(*near, tensors, scale, couplings.begin, couplings.slots, work, out)
+    return out
 
 
 def uses_facet_classes(form: ufl.Form, space: Space) -> bool:
@@ -250,7 +286,7 @@ class FacetBlock:
             scale[:, 1 + k] = modulus.values
         if self.moduli and not stacked[:, 0].any():
             stacked, scale = np.ascontiguousarray(stacked[:, 1:]), scale[:, 1:].copy()
-        out = facets.couplings.sums(facets.kind, stacked, scale)
+        out = _sums(facets.couplings, facets.kind, stacked, scale)
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
 
     def _scaled(self, k: int) -> Array:

@@ -37,7 +37,7 @@ class NewState:
         fields: New values of the points' fields, by name.
         moves: Whether the points move.
         to: Where the points go, or None if they stay in their cells.
-        beside: The same of the markers of boundaries: markers, new values, where they go.
+        markers: The same of the markers of boundaries: markers, new values, where they go.
         moved: Displacements of markers in the step (m), shape (markers, gdim), by the number of
             the markers.
     """
@@ -45,14 +45,14 @@ class NewState:
     fields: dict[str, Array]
     moves: bool = True
     to: Destinations | None = None
-    beside: list[tuple[MaterialPoints, dict[str, Array], Destinations | None]] = field(
+    markers: list[tuple[MaterialPoints, dict[str, Array], Destinations | None]] = field(
         default_factory=list
     )
     moved: dict[int, Array] = field(default_factory=dict)
 
     def of(self, markers: MaterialPoints) -> dict[str, Array]:
         """New values of the fields of some markers, which a term may add to."""
-        return next(fields for one, fields, _ in self.beside if one is markers)
+        return next(fields for one, fields, _ in self.markers if one is markers)
 
 
 class ActiveTerm:
@@ -60,37 +60,24 @@ class ActiveTerm:
 
     Who calls what, in this order, in a step of `QuasiStatic` or `Newmark`:
 
-    1. `Operator`, once: `stiffness`, `soft`, then `external`.
-    2. `Newton`, per residual: `move`, `touch`, `internal`; per tangent also `tangent`.
-       `QuasiStatic`, where forces balance: `augment`.
-    3. `new_state`, at the end: `update`, `fault`, and `follow` once it is known where the points
-       go; then `record`.
+    1. `Operator`, once: `stiffness`, then `external`.
+    2. `Newton`, per residual: `move`, `internal`; per tangent also `tangent`.
+    3. `new_state`, at the end: `update`, and `follow` once it is known where the points go.
 
-    Explicit steps call `renew` or `external`, `internal`, and 3.
+    Explicit steps call `renew` or `external`, `internal`, and 3. Contacts have further methods, see
+    `dolfinmpm.contact.contactpoints.ActiveContact`.
 
     Attributes:
-        kind: "points", "boundary", "grid", "penalty", "contact" or "inertia"; sums of forces may
-            leave out a kind.
+        kind: "points", "boundary", "grid", "contact" or "inertia"; sums of forces may leave out a
+            kind.
         is_load: Whether its external forces are loads, whose work counts as external.
-        pushes: Whether it moves the points by a motion of its own, as a rigid body does.
-        clings: Whether a contact holds what touched before where nothing has moved yet, so that
-            the first iteration of Newton's method takes it along with a body that goes away.
+        stiffness: Blocks K that do not depend on the increments u: K u is added to the internal
+            forces.
     """
 
     kind: str = "force"
     is_load: bool = True
-    pushes: bool = False
-    clings: bool = False
-
-    @property
-    def stiffness(self) -> Sequence[Blocks]:
-        """Blocks K that do not depend on the increments u: K u is added to the internal forces."""
-        return ()
-
-    @property
-    def soft(self) -> Sequence[Blocks]:
-        """Blocks that are in the tangent only, see `Stabilisation("soft")`."""
-        return ()
+    stiffness: Sequence[Blocks] = ()
 
     def renew(self) -> None:
         """Take DOLFINx constants and functions as they are now; `external` does so, too."""
@@ -104,14 +91,6 @@ class ActiveTerm:
 
     def move(self, u: Sequence[Array]) -> None:
         """Take nodal increments, shape (nodes, components) for each field. Collective."""
-
-    def touch(self, u: Sequence[Array], scale: float) -> None:
-        """Find the forces of contact at the increments, where rigid bodies are now.
-
-        Args:
-            u: Nodal increments, shape (nodes, components) for each field.
-            scale: These increments by those at the level where forces balance.
-        """
 
     def internal(self, out: Sequence[Array]) -> bool:
         """Add the forces that depend on the increments, without K u.
@@ -131,24 +110,8 @@ class ActiveTerm:
             entries: The matrix, by the numbers of the row field and the column field.
         """
 
-    def augment(self) -> bool:
-        """Take forces for multipliers if a bound is exceeded. Collective.
-
-        Returns:
-            Whether balance must be found again.
-        """
-        return False
-
-    def record(self) -> dict[str, dict[str, list[float]]]:
-        """What the record of a step has of it in `bodies`, by its name. Collective."""
-        return {}
-
     def update(self, new: NewState) -> None:
         """Add what the points keep of the term at the end of the step."""
-
-    def fault(self, new: NewState) -> str | None:
-        """Why a state cannot be taken, the same on all ranks, or None. Collective."""
-        return None
 
     def follow(self, new: NewState, step: int) -> None:
         """Add the state of what moves beside the points, such as markers. Collective.
@@ -206,15 +169,12 @@ class Term:
             declarations: The laws of the form.
         """
 
-    def start_in_time(self, means: Any) -> None:
+    def start_in_time(self, weights: Any) -> None:
         """Act in steps in time: in the mean over a step, or with None at its start or end.
 
         Args:
-            means: See `dolfinmpm.contact.meanforces`.
+            weights: See `dolfinmpm.contact.meanforces`.
         """
-
-    def place(self) -> None:
-        """Make ready for an activation where the points are now. Collective."""
 
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
         """Blocks that are the same for a whole step, by their kind. Collective.

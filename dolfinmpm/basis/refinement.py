@@ -207,7 +207,7 @@ class Refinement:
         sizes = ", ".join(getattr(one, "told", type(one).__name__) for one in self.sizes)
         return f"levels = {self.levels}, refine = {sizes}"
 
-    def leaves_for(self, where: Placement, averaged: bool) -> Leaves:
+    def update_leaves(self, where: Placement, averaged: bool) -> Leaves:
         """The leaves for some points. Collective.
 
         Args:

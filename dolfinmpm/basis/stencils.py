@@ -341,6 +341,12 @@ def pushed_forward(s: Stencils, F: npt.NDArray[np.float64]) -> Stencils:
     return replace(s, dN=dN)
 
 
+def all_pushed_forward(stencils: Sequence[Stencils], F: npt.NDArray[np.float64]) -> list[Stencils]:
+    """Stencils with gradients by present positions. Common objects stay common."""
+    now = {id(s): pushed_forward(s, F) for s in stencils}
+    return [now[id(s)] for s in stencils]
+
+
 def stencil_matrix(
     s: Stencils, values: npt.NDArray[np.float64], shape: tuple[int, int]
 ) -> sparse.csr_matrix:

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "MOST_ROOTS", "ROOT_BITS", "children_of", "deepest", "levels_of", "parents_of", "places_of",
-    "roots_of", "side_signs",
+    "MOST_ROOTS", "ROOT_BITS", "ancestors_of", "children_of", "deepest", "levels_of", "parents_of",
+    "places_of", "side_signs",
 ]  # fmt: skip
 
 Numbers = npt.NDArray[np.int64]
@@ -36,7 +36,7 @@ def deepest(gdim: int) -> int:
     return (_CODE_BITS - 1) // gdim
 
 
-def roots_of(ids: Numbers) -> Numbers:
+def ancestors_of(ids: Numbers) -> Numbers:
     """Numbers of the first ancestors."""
     return ids & (MOST_ROOTS - 1)
 
@@ -53,12 +53,12 @@ def places_of(ids: Numbers, gdim: int) -> Numbers:
 
 def parents_of(ids: Numbers, gdim: int) -> Numbers:
     """Numbers of the points that split; for levels above 0."""
-    return ((_codes(ids) >> gdim) - 1 << ROOT_BITS) | roots_of(ids)
+    return ((_codes(ids) >> gdim) - 1 << ROOT_BITS) | ancestors_of(ids)
 
 
 def children_of(ids: Numbers, places: Numbers, gdim: int) -> Numbers:
     """Numbers of the children at some places; for levels below `deepest`."""
-    return (((_codes(ids) << gdim) | places) - 1 << ROOT_BITS) | roots_of(ids)
+    return (((_codes(ids) << gdim) | places) - 1 << ROOT_BITS) | ancestors_of(ids)
 
 
 def _codes(ids: Numbers) -> Numbers:

@@ -18,7 +18,7 @@ from dolfinmpm.grid.partition import Partition, partition_of
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["ENOUGH", "balance", "beside", "imbalance", "occupied"]
+__all__ = ["ENOUGH", "balance", "imbalance", "occupied", "redistributed"]
 
 # Imbalance (largest number of points on a rank over the mean) up to which nothing changes
 ENOUGH = 1.1
@@ -70,7 +70,7 @@ def _divided(points: MaterialPoints, lattice: Lattice) -> Partition:
     return partition_of(shape, comm.size, ijk, weights)
 
 
-def beside(points: MaterialPoints, partition: Partition | None) -> MaterialPoints:
+def redistributed(points: MaterialPoints, partition: Partition | None) -> MaterialPoints:
     """The points, distributed by a partition. Collective.
 
     Args:

@@ -18,7 +18,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
-from dolfinmpm.body.loadbalance import beside
+from dolfinmpm.body.loadbalance import redistributed
 from dolfinmpm.body.overlapchecks import check_room_of_both
 from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.grid.userfunctions import choose
@@ -65,7 +65,7 @@ def _change(points: MaterialPoints, rows: Any) -> PointChange:
 def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
     """A body of the points of both; see `MaterialPoints.__add__`. Collective."""
     if isinstance(b, type(a)):
-        a, b = beside(a, None), beside(b, None)
+        a, b = redistributed(a, None), redistributed(b, None)
     rows = _rows_of_both(a, b)
     values = (rows[name] for name in ("x", "cell", "V", "l", "density"))
     points = type(a)(a.grid, *values, tag=rows["tag"], id=rows["id"], axisymmetric=a.axisymmetric)
@@ -89,7 +89,7 @@ def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
 def add(points: MaterialPoints, other: MaterialPoints) -> PointChange:
     """Take the points of another body in; see `MaterialPoints.add`. Collective."""
     if isinstance(other, type(points)):
-        other = beside(other, points.partition)
+        other = redistributed(other, points.partition)
     rows = _rows_of_both(points, other)
     change = _change(other, slice(None))
     points.overlapping = points.overlapping or other.overlapping

@@ -1,13 +1,18 @@
-"""What cannot be: grids that points cannot lie in, and impossible values in their fields."""
+"""What cannot be: grids that points cannot lie in, impossible values, results changed by hand.
+
+Steps compute some fields from others. A change of these fields by hand would be overwritten in
+silence, so that the end of a step seals them, see `FieldArrays`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
+from mpi4py import MPI
 
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import (
@@ -21,7 +26,23 @@ from dolfinmpm.body.axisymmetry import checked_radii
 from dolfinmpm.body.location import bounds, destinations, outside_cells
 from dolfinmpm.grid.tensors import determinants
 
-__all__ = ["astray", "checked", "checked_rows", "checked_tag", "fault", "require_grid"]
+if TYPE_CHECKING:
+    from dolfinmpm.body.points import MaterialPoints
+
+__all__ = [
+    "OF_STRAIN",
+    "astray",
+    "check_grid",
+    "checked",
+    "checked_rows",
+    "checked_tag",
+    "error_in_fields",
+    "overwritten",
+    "require_grid",
+    "seal_results",
+    "seal_stress",
+    "unseal_results",
+]
 
 # what it is called, its unit, and whether it may be zero: a point without a domain is a mere point
 _SIZES = {
@@ -33,6 +54,13 @@ _SIZES = {
 }
 # Fields of points in time that must be finite
 _MOTION = ("velocity", "acceleration")
+# Values of `moved_under` of points whose stress follows from a strain, see
+# `dolfinmpm.kinematics.strainhistory.MARKS`; with those after `dolfinmpm.set_stress`
+OF_STRAIN = (1, 2, 3, 4)
+_GIVEN = tuple(16 + mark for mark in OF_STRAIN)
+_RESULTS = ("V", "stress")
+# Relative difference of volumes by rounding
+_ROUNDING = 1e-9
 
 
 def require_grid(grid: Any) -> None:
@@ -55,6 +83,24 @@ def require_grid(grid: Any) -> None:
         raise UnsupportedGridError(
             f"the background grid has coordinates of kind {grid.geometry.x.dtype}; make it in "
             "double precision, with dtype=np.float64"
+        )
+
+
+def check_grid(points: MaterialPoints) -> None:
+    """Raise ParameterError if the grid has been moved or scaled since the points were put on it.
+
+    Sizes of cells and positions of grid lines are read only once. Collective.
+    """
+    d = points.gdim
+    x = np.asarray(points.grid.geometry.x[:, :d], float)
+    low, high = bounds(points.grid)
+    now = np.concatenate([x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)])
+    points.comm.Allreduce(MPI.IN_PLACE, now, op=MPI.MIN)
+    if np.abs(now - np.concatenate([low, -high])).max() > 1e-6 * float(np.max(high - low)):
+        raise ParameterError(
+            f"the grid reaches from {now[:d]} to {-now[d:]} m, and did from {low} to {high} m when "
+            "it was first used: its coordinates have been changed since, which points and spaces "
+            "on it do not follow. Change them before, or move grid lines by mpm.regrid"
         )
 
 
@@ -140,7 +186,7 @@ def _whole(what: str, values: Any, n: int, kind: type[np.signedinteger]) -> npt.
     return given.astype(kind)
 
 
-def fault(points) -> DolfinMPMError | None:
+def error_in_fields(points) -> DolfinMPMError | None:
     """What is impossible in the fields of this rank's points, or None.
 
     All ranks must have asked for the `bounds` of the grid before.
@@ -235,3 +281,55 @@ def _impossible_size(fields: Mapping) -> ParameterError | None:
                 f"{rule} ({bad.size} such points on this rank)"
             )
     return None
+
+
+def seal_results(points: MaterialPoints) -> None:
+    """Note the volumes and stresses that a step has written."""
+    points.fields.seal("V")
+    seal_stress(points)
+
+
+def seal_stress(points: MaterialPoints) -> None:
+    """Note the stresses that a step or `dolfinmpm.set_stress` has written."""
+    points.fields.seal("stress", _strained(points))
+
+
+def unseal_results(points: MaterialPoints) -> None:
+    """Allow changes of volumes and stresses, until they are noted again."""
+    points.fields.unseal(*_RESULTS)
+
+
+def overwritten(points: MaterialPoints) -> ParameterError | None:
+    """Error for volumes or stresses of this rank that were changed since a step, or None.
+
+    The next step computes volumes from F and V0, and stresses from strains. Stresses of UMATs and
+    of forms that contain the field `stress` are a state. They may be changed.
+    """
+    fields = points.fields
+    if fields.broken("V"):
+        V, wanted = fields.read("V"), determinants(fields.read("F")) * fields.read("V0")
+        bad = np.flatnonzero(~(np.abs(V - wanted) <= _ROUNDING * np.abs(wanted)))
+        if bad.size:
+            p = bad[0]
+            return ParameterError(
+                f"points['V'] of point {fields.read('id')[p]} at {fields.read('x')[p]} m was set "
+                f"to {V[p]:.6g} m^{points.strain_dim}. It must be det(F) V0 = {wanted[p]:.6g}, as "
+                f"the next step computes it ({bad.size} such points on this rank). For another "
+                "first volume set points['V0'] too, before the first step"
+            )
+    if fields.broken("stress", _strained(points)):
+        largest = np.abs(fields.read("stress")).max()
+        return ParameterError(
+            f"points['stress'] was changed by hand (largest component now {largest:.6g} Pa), "
+            "and the next step computes it from the strain of the points. Call "
+            "mpm.set_stress(law, points, stress)"
+        )
+    return None
+
+
+def _strained(points: MaterialPoints) -> slice | npt.NDArray[np.bool_]:
+    """Points of this rank whose stress follows from a strain."""
+    marks = points.fields.read("moved_under")
+    if marks.size and marks.min() >= 1 and marks.max() <= OF_STRAIN[-1]:
+        return slice(None)
+    return np.isin(marks, OF_STRAIN + _GIVEN)

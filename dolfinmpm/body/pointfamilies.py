@@ -21,10 +21,10 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.body.bodysums import BodySums, sums_of
 from dolfinmpm.body.childvalues import Children, child_values, children
 from dolfinmpm.body.exchange import exchange
-from dolfinmpm.body.familyids import deepest, levels_of, parents_of, places_of, roots_of
+from dolfinmpm.body.familyids import ancestors_of, deepest, levels_of, parents_of, places_of
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.location import destinations
-from dolfinmpm.body.siblingvalues import Siblings, alike, parent_values, together
+from dolfinmpm.body.siblingvalues import Siblings, adjacent, alike, parent_values
 from dolfinmpm.grid.userfunctions import choose
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Families:
     """The families of the points of this rank.
 
     Attributes:
-        root: Number of the first ancestor, shape (n,).
+        ancestor: Number of the first ancestor, shape (n,).
         parent: Number of the parent, shape (n,); −1 for points that no split has made.
         level: Number of splits that made the point, shape (n,).
         place: Place among the siblings, from 0, shape (n,); −1 without a parent.
@@ -78,7 +78,7 @@ class Families:
     [0, 1, 2, 3]
     """
 
-    root: Numbers
+    ancestor: Numbers
     parent: Numbers
     level: Numbers
     place: Numbers
@@ -106,7 +106,7 @@ def families(points: MaterialPoints) -> Families:
     level = levels_of(ids, d)
     born = level > 0
     parent, place = parents_of(ids, d), places_of(ids, d)
-    return Families(roots_of(ids), np.where(born, parent, -1), level, np.where(born, place, -1))
+    return Families(ancestors_of(ids), np.where(born, parent, -1), level, np.where(born, place, -1))
 
 
 @collective(local=("which",))
@@ -187,10 +187,10 @@ def merge(
     *,
     allowed: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | npt.ArrayLike | None = None,
 ) -> FamilyChange:
-    """Merge complete families of siblings that are alike and together, between steps. Collective.
+    """Merge complete families of siblings that are alike and adjacent, between steps. Collective.
 
     Siblings are alike if their logarithmic strains (total and elastic) and internal variables
-    differ by no more than a tolerance, and if their tags are the same. They are together if each
+    differ by no more than a tolerance, and if their tags are the same. They are adjacent if each
     is within half of its half-length of the place where the mean deformation puts it. Families on
     several ranks merge too. Other families stay as they are.
 
@@ -236,7 +236,7 @@ def merge(
     rows, gathered = _complete(points, np.flatnonzero(ready))
     siblings = _in_order(points, gathered)
     siblings = siblings.taken(alike(siblings, tolerance))
-    siblings = siblings.taken(together(siblings))
+    siblings = siblings.taken(adjacent(siblings))
     parents = parent_values(siblings)
     lost = _lost(points, parents["x0" if points.configuration == "total" else "x"])
     parents = {name: a[~lost] for name, a in parents.items()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,13 @@ from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.argumentchecks import truth
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_together
+from dolfinmpm._platform.errors import call_together, raise_together
 from dolfinmpm.body import pointchanges, pointfiles, pointinput
 from dolfinmpm.body.axisymmetry import require_axis
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.location import Destinations, bounds
-from dolfinmpm.body.migration import migrate
+from dolfinmpm.body.location import bounds
 from dolfinmpm.body.pointchanges import PointChange
-from dolfinmpm.body.pointchecks import astray, checked_rows, fault, require_grid
+from dolfinmpm.body.pointchecks import checked_rows, require_grid
 from dolfinmpm.body.pointsymbols import ACTIVE_CELLS, GHOST_FACETS, UNSET
 from dolfinmpm.body.pointtable import PointTable
 from dolfinmpm.grid.partition import Partition
@@ -160,8 +158,6 @@ class MaterialPoints(PointTable):
         if axisymmetric:
             require_axis(grid)
         super().__init__(grid, axisymmetric)
-        # "updated" or "total": positions that give the cells and ranks; see `settle`
-        self.configuration = "updated"
         self.overlapping = False
         self.roomy = -1
         self.shape_volume: float | None = None
@@ -176,8 +172,7 @@ class MaterialPoints(PointTable):
         if id is None:
             values["id"] += self.comm.exscan(len(values["id"])) or 0
         self.take_first(values)
-        self._located = math.nan
-        raise_together(self.comm, self.fault())
+        raise_together(self.comm, self.error_in_fields())
         self.recount()
 
     # -- constructors ---------------------------------------------------------
@@ -369,16 +364,6 @@ class MaterialPoints(PointTable):
         """
         return pointchanges.remove(self, where, tag)
 
-    def fault(self) -> DolfinMPMError | None:
-        """Error for an impossible value in the fields of this rank's points, or None."""
-        error = fault(self)
-        updated = self.configuration == "updated"
-        if error is None and updated and self._located != (place := self.fields.read("x").sum()):
-            # the user has changed x: steps locate the points that they move
-            error = astray(self)
-            self._located = place if error is None else math.nan
-        return error
-
     @collective
     def locate(self) -> int:
         """Find the cells and ranks of points after the user has changed `x`. Collective.
@@ -390,11 +375,3 @@ class MaterialPoints(PointTable):
             PointsOutsideGridError: Points are outside the grid.
         """
         return self.migrate(pointinput.destinations_of(self))
-
-    def migrate(self, to: Destinations) -> int:
-        """Move points to the ranks that compute their cells; returns their number. Collective."""
-        moved = migrate(self, to)
-        # in a total formulation, the present positions have no cells
-        self._located = self.fields.read("x").sum()
-        self.revision += moved > 0
-        return moved

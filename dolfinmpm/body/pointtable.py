@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.collective import check_same_call, collective
 from dolfinmpm._platform.errors import (
+    DolfinMPMError,
     FieldShapeError,
     ParameterError,
     UnknownNameError,
@@ -22,12 +24,12 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.html import listing
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
-from dolfinmpm.body.familyids import roots_of
+from dolfinmpm.body.familyids import ancestors_of
 from dolfinmpm.body.fieldarrays import FieldArrays
-from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.missingfields import no_field
+from dolfinmpm.body.fields import PointField, no_field
+from dolfinmpm.body.location import Destinations, migrate
+from dolfinmpm.body.pointchecks import OF_STRAIN, astray, error_in_fields
 from dolfinmpm.body.pointsymbols import PointSymbols
-from dolfinmpm.body.resultfields import OF_STRAIN
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
@@ -60,6 +62,8 @@ class PointTable:
         symbols: Measures, constants and fields for UFL.
         total: Number of points on all ranks.
         revision: Number of changes of the rows of the arrays.
+        configuration: Positions that give the cells and ranks, "updated" or "total"; see
+            `use_configuration`.
     """
 
     def __init__(self, grid: Mesh, axisymmetric: bool):
@@ -68,6 +72,8 @@ class PointTable:
         self.fields = FieldArrays()
         self.symbols = PointSymbols(grid)
         self.total = self.revision = self._next_id = 0
+        self.configuration = "updated"
+        self._located = math.nan
 
     def take_first(self, values: dict[str, npt.NDArray[Any]]) -> None:
         """Make the fields that every point has.
@@ -162,7 +168,7 @@ class PointTable:
         ids = self.fields.read("id")
         self.total = self.comm.allreduce(len(ids), op=MPI.SUM)
         # children of points that split have numbers above all others
-        highest = self.comm.allreduce(int(roots_of(ids).max(initial=-1)), op=MPI.MAX)
+        highest = self.comm.allreduce(int(ancestors_of(ids).max(initial=-1)), op=MPI.MAX)
         # numbers of removed points are not used again
         self._next_id = max(self._next_id, highest + 1)
         self.revision += 1
@@ -302,8 +308,26 @@ class PointTable:
             configuration: "updated" for present positions, "total" for first positions.
         """
         x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
-        size = section(self, volume, x)
+        size = section(self, volume, x) if self.axisymmetric else self[volume]
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
+
+    def error_in_fields(self) -> DolfinMPMError | None:
+        """Error for an impossible value in the fields of this rank's points, or None."""
+        error = error_in_fields(self)
+        updated = self.configuration == "updated"
+        if error is None and updated and self._located != (place := self.fields.read("x").sum()):
+            # the user has changed x: steps locate the points that they move
+            error = astray(self)
+            self._located = place if error is None else math.nan
+        return error
+
+    def migrate(self, to: Destinations) -> int:
+        """Move points to the ranks that compute their cells; returns their number. Collective."""
+        moved = migrate(self, to)
+        # in a total formulation, the present positions have no cells
+        self._located = self.fields.read("x").sum()
+        self.revision += moved > 0
+        return moved
 
     @collective
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:

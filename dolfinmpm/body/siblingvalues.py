@@ -1,4 +1,4 @@
-"""Siblings that merge: whether they are alike and together, and what their parent gets of them."""
+"""Siblings that merge: whether they are alike and adjacent, and what their parent gets of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dolfinmpm.body.familyids import parents_of, side_signs
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["Siblings", "alike", "logarithms", "parent_values", "second_moments", "together"]
+__all__ = ["Siblings", "adjacent", "alike", "logarithms", "parent_values", "second_moments"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[str, npt.NDArray[Any]]
@@ -133,7 +133,7 @@ def second_moments(F: Array, half: Array) -> Array:
     return np.asarray(edges @ np.swapaxes(edges, -1, -2), np.float64)
 
 
-def together(of: Siblings) -> npt.NDArray[np.bool_]:
+def adjacent(of: Siblings) -> npt.NDArray[np.bool_]:
     """Whether siblings lie side by side, at first and now, shape (families,)."""
     d = of.gdim
     half = of.halves[:, None]

@@ -18,11 +18,10 @@ from dolfinmpm._platform.argumentchecks import (
     whole,
 )
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.heightvolumes import volume_between
+from dolfinmpm.body.heightvolumes import closed_mesh, volume_between
 from dolfinmpm.body.rasterarrays import raster_of_array, refuse_marks, windowed
 from dolfinmpm.body.rasterfiles import read_raster
 from dolfinmpm.body.shapes import Polygon, Shape
-from dolfinmpm.body.terrainmesh import closed_mesh
 
 __all__ = ["GroundBelow", "Terrain"]
 

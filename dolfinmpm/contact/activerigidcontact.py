@@ -130,7 +130,7 @@ class ActiveRigidContact(ActiveContact):
         return ActiveRigidContact(contact, displacement, k, mean_weights=contact.mean_weights)
 
     def fault(self, new: NewState) -> str | None:
-        """See `ActiveTerm`: points that passed through the body or entered it. Collective."""
+        """See `ActiveContact`: points that passed through the body or entered it. Collective."""
         if not new.moves:
             return None
         points = self.contact.points
@@ -143,7 +143,7 @@ class ActiveRigidContact(ActiveContact):
     # -- forces ---------------------------------------------------------------
 
     def touch(self, u: Sequence[Array], scale: float) -> None:
-        """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
+        """See `ActiveContact`. Mean forces over a step are those of the increments at its end."""
         if not len(self.x):
             return
         own = u[self.field]

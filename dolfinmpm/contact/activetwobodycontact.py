@@ -68,7 +68,7 @@ class ActiveTwoBodyContact(ActiveContact):
             start.multiplier = bounding_multipliers(q, normal, tangential, available, comm)
 
     def touch(self, u: Sequence[Array], scale: float) -> None:
-        """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
+        """See `ActiveContact`. Mean forces over a step are those of the increments at its end."""
         pairs, start, now, law = self.pairs, self.start, self.now, self.contact.law
         if self.mean_weights is not None and self.mean_weights.scale != scale:
             u = [self.mean_weights.scale / scale * values for values in u]
@@ -120,7 +120,7 @@ class ActiveTwoBodyContact(ActiveContact):
                 add_tangent(active, rows[i], rows[j], K if i == j else -K, to)
 
     def fault(self, new: NewState) -> str | None:
-        """See `ActiveTerm`: the bodies may have met at points without a pair. Collective."""
+        """See `ActiveContact`: the bodies may have met at points without a pair. Collective."""
         sides = [new.moved[boundary.markers.number] for boundary in self.contact.boundaries]
         comm, d = self.contact.points.comm, self.contact.points.gdim
         ends = [-part.min(axis=0, initial=np.inf) for part in sides]
@@ -136,7 +136,7 @@ class ActiveTwoBodyContact(ActiveContact):
         )
 
     def record(self) -> dict[str, dict[str, list[float]]]:
-        """See `ActiveTerm`. Collective."""
+        """See `ActiveContact`. Collective."""
         return {self.contact.name: {"force": [float(f) for f in self.total()]}}
 
     def total(self) -> Array:

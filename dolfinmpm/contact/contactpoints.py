@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.assembly.term import ActiveTerm
+from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS
 from dolfinmpm.contact.meanforces import MeanForceWeights
 
@@ -127,14 +128,22 @@ class ContactForces:
 class ActiveContact(ActiveTerm):
     """Base of contacts: contact points with a state at the start of the step, and forces.
 
+    `Operator` calls `touch` before each residual and tangent, `QuasiStatic` calls `augment` where
+    forces balance and `record` after the step, and `new_state` calls `fault`.
+
     Attributes:
         contact: The contact of the form.
         mean_weights: Weights of mean forces over a step in its balance; None for forces at its end.
         start: State of the contact points at the start of the step.
         now: Forces on the contact points.
+        clings: Whether a contact holds what touched before where nothing has moved yet, so that
+            the first iteration of Newton's method takes it along with a body that goes away.
+        pushes: Whether it moves the points by a motion of its own, as a rigid body does.
     """
 
     kind = "contact"
+    clings: bool
+    pushes: bool = False
     contact: Any
     mean_weights: MeanForceWeights | None
     start: ContactStart
@@ -166,10 +175,25 @@ class ActiveContact(ActiveTerm):
         weights = self.mean_weights
         return 1.0 if weights is None else weights.weight * weights.scale
 
-    def augment(self) -> bool:
-        """See `ActiveTerm`: normal forces become multipliers if a penetration exceeds the bound.
+    def touch(self, u: Sequence[Array], scale: float) -> None:
+        """Find the forces at the increments, where rigid bodies are now.
 
-        Collective.
+        Args:
+            u: Nodal increments, shape (nodes, components) for each field.
+            scale: These increments by those at the level where forces balance.
+        """
+        raise NotImplementedError
+
+    def fault(self, new: NewState) -> str | None:
+        """Why a state cannot be taken, the same on all ranks, or None. Collective."""
+        raise NotImplementedError
+
+    def record(self) -> dict[str, dict[str, list[float]]]:
+        """What the record of a step has of it in `bodies`, by its name. Collective."""
+        return {}
+
+    def augment(self) -> bool:
+        """Take normal forces for multipliers if a penetration exceeds the bound. Collective.
 
         Returns:
             Whether a penetration exceeded the bound, so that balance must be found again.

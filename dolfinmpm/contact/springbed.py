@@ -101,10 +101,10 @@ class ActiveSprings(ActiveTerm):
             self._seen = self._seen + scipy.sparse.diags(reach[:, j]) @ slope
         self._rows = np.flatnonzero(bed.normals[1])
         self._seen = scipy.sparse.csr_matrix(self._seen)[self._rows]
+        self.stiffness = [self._blocks()]
 
-    @property
-    def stiffness(self) -> Sequence[Blocks]:
-        """See `ActiveTerm`: nodes that a point sees are coupled anyway."""
+    def _blocks(self) -> Blocks:
+        """Stiffness of the springs; nodes that a point sees are coupled anyway."""
         n, k = (values[self._rows] for values in self._bed.normals)
         W = self._seen
         pairs = scipy.sparse.coo_matrix(abs(W).T @ abs(W))
@@ -115,7 +115,7 @@ class ActiveSprings(ActiveTerm):
                 part = scipy.sparse.csr_matrix(W.T @ scipy.sparse.diags(k * n[:, i] * n[:, j]) @ W)
                 values[:, i, j] = np.asarray(part[pairs.row, pairs.col]).ravel()
         rows, columns = (x.astype(np.int32) for x in (pairs.row, pairs.col))
-        return [Blocks(self._k, self._k, rows, columns, values)]
+        return Blocks(self._k, self._k, rows, columns, values)
 
     def external(self, out: Sequence[Array]) -> None:
         """See `ActiveTerm`: forces at the start of the step, which resist."""

@@ -8,17 +8,18 @@ domains, roots and cell means. So numberings do not change after data have been 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Sequence
+import math
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
-from dolfinmpm.basis import LeafBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import extraction
-from dolfinmpm.basis.stencils import concatenated, selected, spread
+from dolfinmpm.basis.stencils import all_pushed_forward, concatenated, joined, selected, spread
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_body_left
 from dolfinmpm.cut.activation import (
@@ -26,25 +27,38 @@ from dolfinmpm.cut.activation import (
     ActiveBoundary,
     ActiveDomain,
     ActiveField,
+    ActiveRegion,
     Basis,
     Field,
     LazyPattern,
     Terms,
-    TermsOverBoundary,
 )
-from dolfinmpm.cut.activecells import active_cells, active_nodes, entities
-from dolfinmpm.cut.aggregation import mesh_roots
-from dolfinmpm.cut.couplings import KeptCouplings, lists_of, pairs_of
+from dolfinmpm.cut.activeboundaries import (
+    in_active_cells,
+    present_markers,
+    unmoved,
+    with_regions,
+    with_separate_stencils,
+)
+from dolfinmpm.cut.activecells import active_nodes, entities
+from dolfinmpm.cut.aggregation import SEARCH_RADIUS, MeshRoots, mesh_roots
+from dolfinmpm.cut.cellaverages import (
+    averages_of,
+    averaging_field,
+    layers_needed,
+    sharing_stencils,
+)
+from dolfinmpm.cut.constraints import constraints_of
 from dolfinmpm.cut.essentialconditions import EssentialConditions
-from dolfinmpm.cut.overlap import overlapping_bases
-from dolfinmpm.cut.pattern import Blocks, Pattern
-from dolfinmpm.cut.prolongation import Prolongation, own_matrix
-from dolfinmpm.cut.regions import active_boundary_regions, active_region
+from dolfinmpm.cut.pattern import Blocks, KeptCouplings, Pattern, lists_of, pairs_of
+from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.forms.pointterms import PointTerms
+from dolfinmpm.grid.partition import Partition
 
-__all__ = ["activate"]
+__all__ = ["Draft", "activate", "active_region"]
 
-Fixed = npt.NDArray[np.bool_]
+Mask = npt.NDArray[np.bool_]
 
 
 def activate(
@@ -55,7 +69,7 @@ def activate(
     share: float = 1.0,
     old: Activation | None = None,
     kept: KeptCouplings | None = None,
-    blocks: Callable[[int], bool] | None = None,
+    blocks_from: float = math.inf,
 ) -> Activation:
     """The activation for the present positions of the points. Collective.
 
@@ -67,28 +81,29 @@ def activate(
         share: Share of the step's prescribed increments.
         old: A former activation of the same problem. Its unchanged parts are reused.
         kept: Couplings of a checkpoint's pattern, for the same active nodes.
-        blocks: Function of the number of unknowns: whether they are stored in blocks, see
-            `Unknowns`. None means no blocks.
+        blocks_from: Number of unknowns from which they are stored in blocks, see `Unknowns`.
     """
     total = fields[0].space.configuration == "total"
     bodies = points.placement(fields[0].space.configuration)
-    if total and old is not None and _unmoved(points, bodies, terms.boundaries, old):
+    if total and old is not None and unmoved(points, bodies, terms.boundaries, old):
         return _renewed(points, conditions, terms, share, old)
     builder = _Builder(points, fields, terms, bodies)
     active, fixed, prescribed = builder.fields(conditions, share)
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
-    blocked = blocks is not None and _in_blocks(active, fixed, blocks)
-    if unknowns is None or not unknowns.same(remaining, fixed, blocked):
-        unknowns = Unknowns([f.basis.nodes for f in active], remaining, fixed, blocked)
+    in_blocks = _in_blocks(active, fixed, blocks_from)
+    if unknowns is None or not unknowns.same(remaining, fixed, in_blocks):
+        unknowns = Unknowns([f.basis.nodes for f in active], remaining, fixed, in_blocks)
         old = None
     of_terms = {"penalty": builder.penalties, **terms.blocks(active)}
     domain = ActiveDomain(bodies, total, tuple(active), unknowns)
     regions = [active_region(region, points, domain) for region in terms.regions]
-    boundaries = _boundaries(terms.boundaries, builder.boundaries, domain)
-    pairs = pairs_of([b for own in of_terms.values() for b in own], unknowns)
+    boundaries = builder.boundaries
+    if boundaries:
+        boundaries = with_regions(terms.boundaries, boundaries, domain)
+    pairs = pairs_of([b for blocks in of_terms.values() for b in blocks], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
-    former = None if old is None else old.lazy.known
+    former = None if old is None else old.lazy.made
     every = [*regions, *(region for one in boundaries.values() for region in one.regions)]
     couplings = terms.couple(domain)
     couple = functools.partial(_pattern, every, active, unknowns, couplings, pairs, former)
@@ -105,39 +120,20 @@ def _pattern(every, active, unknowns: Unknowns, couplings, pairs, former: Patter
     return Pattern.build(lists, unknowns, pairs, former)
 
 
-def _boundaries(
-    terms: Sequence[TermsOverBoundary], found: dict[int, ActiveBoundary], domain: ActiveDomain
-) -> dict[int, ActiveBoundary]:
-    """Boundaries with their active parts."""
-    number = {of.boundary.markers.number: of for of in terms}
-    return {
-        n: replace(one, regions=active_boundary_regions(number[n], domain))
-        for n, one in found.items()
-    }
+def _in_blocks(fields: Sequence[ActiveField], fixed: Sequence[Mask], blocks_from: float) -> bool:
+    """Whether the unknowns of one field with several components are stored in blocks. Collective.
 
-
-def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], bool]) -> bool:
-    """Whether the unknowns of one field with several components are stored in blocks."""
-    if len(fields) > 1 or fields[0].space.components == 1:
+    Args:
+        fields: The active fields.
+        fixed: Masks of their prescribed components.
+        blocks_from: Number of unknowns from which they are.
+    """
+    if blocks_from == math.inf or len(fields) > 1 or fields[0].space.components == 1:
         return False
     nodes, numbering = fields[0].nodes, fields[0].basis.nodes
     owned = nodes[: np.searchsorted(nodes, numbering.owned)]
-    return blocks(numbering.comm.allreduce(int(np.count_nonzero(~fixed[0][owned]))))
-
-
-def _unmoved(
-    points: MaterialPoints,
-    where: Placement,
-    boundaries: Sequence[TermsOverBoundary],
-    old: Activation,
-) -> bool:
-    """Whether points and markers are unchanged at initial positions. Collective."""
-    same = where.x is old.where.x and where.cell.size == old.where.cell.size
-    for of in boundaries:
-        # the position where a wall meets the body is found anew
-        former = old.boundaries[of.boundary.markers.number].seen
-        same = same and of.boundary.follows and of.boundary.seen is former.x
-    return points.comm.allreduce(same, op=MPI.LAND)
+    free = int(np.count_nonzero(~fixed[0][owned]))
+    return bool(numbering.comm.allreduce(free) >= blocks_from)
 
 
 def _renewed(
@@ -150,7 +146,7 @@ def _renewed(
     """An activation at initial positions, with gradients by present positions. Collective."""
     _, prescribed = conditions.at([f.basis for f in old.fields], share)
     regions = [active_region(region, points, old) for region in terms.regions]
-    boundaries = _boundaries(terms.boundaries, old.boundaries, old)
+    boundaries = with_regions(terms.boundaries, old.boundaries, old)
     blocks = {**old.blocks, **terms.blocks(old.fields)}
     return replace(
         old, prescribed=prescribed, regions=regions, boundaries=boundaries, blocks=blocks,
@@ -158,49 +154,84 @@ def _renewed(
     )  # fmt: skip
 
 
+def _overlapping_bases(
+    fields: Sequence[Field],
+    where: Placement,
+    averages: bool,
+    partition: Partition | None,
+    least: int = 0,
+) -> list[Basis]:
+    """The bases of a step, with the overlap for domains, roots and cell means. Collective.
+
+    Args:
+        fields: Fields of the problem.
+        where: Points of the body.
+        averages: Whether the weak form has means over cells.
+        partition: Cells of each rank, where they are not the grid's.
+        least: Fewest layers of cells around each rank's own.
+    """
+    reach = {id(f.space.basis): f.space.basis for f in fields}
+    reaches = {key: basis.reach(where) for key, basis in reach.items()}
+    layers: dict[int, int] = {}
+    averaged = any(f.space.basis.averaged for f in fields if f.space.refinement is not None)
+    # cell means use the nodes of all fields around the cells of the first field's domains
+    span = max(count for _, count in reaches.values())
+    for one in fields:
+        basis = one.space.basis
+        need = max(reaches[id(basis)][0], least)
+        if averages:
+            need = max(need, layers_needed(span, basis))
+        need = max(need, getattr(one.prolongate, "layers", 0))
+        if one.constrains_nodes:
+            need += SEARCH_RADIUS + basis.degree + 1
+            # whether a cell of splines is a root depends on the cells around it
+            need += SEARCH_RADIUS if basis.degree > 1 else 0
+        layers[id(basis)] = max(layers.get(id(basis), 0), need)
+    found: list[Basis] = []
+    for one in fields:
+        base, refinement = one.space.basis, one.space.refinement
+        need = layers[id(base)]
+        if refinement is None:
+            found.append(base.grown(need, partition))
+        else:
+            assert isinstance(base, LatticeBasis)
+            refinement.update_leaves(where, averaged)
+            found.append(refinement.basis(base, need, partition))
+    return found
+
+
 @dataclass
-class _Draft:
-    """A field while it is built. Fields with equal keys share their results.
+class Draft:
+    """Fields with the same points, markers and basis, while they are built.
 
     Attributes:
-        field: The field.
-        number: Its number.
-        chosen: Mask of its points, or None for all points.
-        has_markers: Whether it has the markers of each boundary, by the boundary's number.
-        basis: Its basis, with the overlap for the step.
+        basis: The basis, with the overlap for the step.
+        chosen: Mask of the points, or None for all points.
+        has_markers: Whether they have the markers of each boundary, by the boundary's number.
         full_stencils: Stencils of points and markers on all active nodes.
         of_points: The same of the points alone.
         nodes: Active nodes.
-        roots: Roots of ill-filled cells on meshes that are no lattices.
         entities: Ghost facets and active cells.
     """
 
-    field: Field
-    number: int
-    chosen: Fixed | None
-    has_markers: dict[int, bool]
     basis: Basis
+    chosen: Mask | None
+    has_markers: dict[int, bool]
     full_stencils: Any = None
     of_points: Any = None
     nodes: Any = None
-    roots: Any = None
     entities: Any = None
 
-    @property
-    def key(self) -> Hashable:
-        """Key that is equal for fields with the same points, markers and basis."""
-        return id(self.basis), self.field.space.tags, tuple(self.has_markers.values())
-
-    def stencils(self, where: Placement, sets: dict[int, ActiveBoundary]) -> Stencils:
-        """Stencils in the basis; points outside the field get empty stencils. Collective.
+    def stencils(self, where: Placement, boundaries: dict[int, ActiveBoundary]) -> Stencils:
+        """Stencils in the basis; points of other fields get empty stencils. Collective.
 
         Args:
             where: The points, followed by the active markers of each boundary.
-            sets: The boundaries, by the number of their markers.
+            boundaries: The boundaries, by the number of their markers.
         """
         if self.chosen is None:
             return self.basis.stencils(where)
-        of_markers = [np.full(len(one.rows), self.has_markers[n]) for n, one in sets.items()]
+        of_markers = [np.full(len(one.rows), self.has_markers[n]) for n, one in boundaries.items()]
         rows = np.flatnonzero(np.concatenate([self.chosen, *of_markers]))
         return spread(self.basis.stencils(where.of(rows)), rows, len(where.x))
 
@@ -222,59 +253,47 @@ class _Builder:
     def __init__(
         self, points: MaterialPoints, fields: Sequence[Field], terms: Terms, bodies: Placement
     ):
-        self._points, self._bodies, self._moving = points, bodies, terms.moving
+        self._points, self._fields, self._terms, self._bodies = points, fields, terms, bodies
         self.penalties: list[Blocks] = []
-        self._terms, of_all = terms.boundaries, {}
-        for of in terms.boundaries:
-            rows = np.asarray(np.flatnonzero(of.boundary.present()), np.int32)
-            of_all[of.boundary.markers.number] = ActiveBoundary(of.boundary.placement(), rows)
+        self.boundaries = present_markers(terms.boundaries) if terms.boundaries else {}
         # markers activate cells like points without volume
-        where = concatenated([bodies, *(one.seen for one in of_all.values())])
+        where = concatenated([bodies, *(one.seen for one in self.boundaries.values())])
         averages = any(region.averages for region in terms.regions)
-        bases = overlapping_bases(fields, where, averages, points.partition, terms.layers)
-        self._drafts = [self._draft(k, *both) for k, both in enumerate(zip(fields, bases))]
-        self.boundaries = of_all
+        bases = _overlapping_bases(fields, where, averages, points.partition, terms.layers)
+        drafts: dict[Hashable, Draft] = {}
+        # the draft of each field
+        self._drafts: list[Draft] = []
+        for field, basis in zip(fields, bases):
+            space = field.space
+            markers = {
+                of.boundary.markers.number: space.tags is None or of.sees(space.increment)
+                for of in terms.boundaries
+            }
+            key = id(basis), space.tags, tuple(markers.values())
+            if key not in drafts:
+                drafts[key] = self._draft(field, basis, markers)
+            self._drafts.append(drafts[key])
+        self._once = list(drafts.values())
         if not all(of.boundary.activates for of in terms.boundaries):
-            self.boundaries = self._in_active_cells(of_all)
+            both = self.boundaries, self._once
+            self.boundaries = in_active_cells(terms.boundaries, *both, bodies)
             seen = (one.seen.of(one.rows) for one in self.boundaries.values())
             where = concatenated([bodies, *seen])
         self._where = where
 
-    def _draft(self, number: int, field: Field, basis: Basis) -> _Draft:
-        """A field with its points and markers. Collective."""
-        space = field.space
-        chosen = None if space.tags is None else np.isin(self._points["tag"], space.tags)
-        has_markers = {
-            of.boundary.markers.number: space.tags is None or of.sees(space.increment)
-            for of in self._terms
-        }
-        own = [of.boundary for of in self._terms if has_markers[of.boundary.markers.number]]
-        check_body_left(self._points, space.tags, own)
-        return _Draft(field, number, chosen, has_markers, basis)
-
-    def _in_active_cells(self, sets: dict[int, ActiveBoundary]) -> dict[int, ActiveBoundary]:
-        """Active markers: of passive boundaries only markers in active cells. Collective.
-
-        Args:
-            sets: The boundaries, with all their markers.
-        """
-        flags = {of.boundary.markers.number: of.boundary.present() for of in self._terms}
-        once = {draft.key: draft for draft in self._drafts}
-        for draft in once.values():
-            cells = active_cells(draft.stencils(self._bodies, {}), draft.basis.cells)
-            for of in self._terms:
-                n = of.boundary.markers.number
-                if of.boundary.activates or not draft.has_markers[n]:
-                    continue
-                s = draft.basis.stencils(sets[n].seen)
-                # a marker without a domain is in one cell
-                flags[n][s.order] &= np.repeat(cells[s.cells], np.diff(s.groups))
-        rows = {n: np.asarray(np.flatnonzero(chosen), np.int32) for n, chosen in flags.items()}
-        return {n: replace(one, rows=rows[n]) for n, one in sets.items()}
+    def _draft(self, field: Field, basis: Basis, has_markers: dict[int, bool]) -> Draft:
+        """The draft of a field. Collective."""
+        tags = field.space.tags
+        chosen = None if tags is None else np.isin(self._points["tag"], tags)
+        if any(has_markers.values()):
+            of_field = [of.boundary for of in self._terms.boundaries
+                        if has_markers[of.boundary.markers.number]]  # fmt: skip
+            check_body_left(self._points, tags, of_field)
+        return Draft(basis, chosen, has_markers)
 
     def fields(
         self, conditions: EssentialConditions, share: float
-    ) -> tuple[list[ActiveField], Any, Any]:
+    ) -> tuple[list[ActiveField], list[Mask], list[npt.NDArray[np.float64]]]:
         """The active fields, with constrained components and prescribed increments. Collective.
 
         Args:
@@ -282,105 +301,99 @@ class _Builder:
                 Nodes that only markers reach may be free, see `within_reach`.
             share: Share of the step's prescribed increments.
         """
-        self._share("full_stencils", lambda d: d.stencils(self._where, self.boundaries))
-        own = np.arange(len(self._where.x)) < len(self._bodies.x)
-        self._share("of_points", lambda d: selected(d.full_stencils, own))
-        self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis))
-        self._find_roots()
+        is_point = np.arange(len(self._where.x)) < len(self._bodies.x)
+        for draft in self._once:
+            draft.full_stencils = draft.stencils(self._where, self.boundaries)
+            draft.of_points = selected(draft.full_stencils, is_point)
+            draft.nodes = active_nodes(draft.full_stencils, draft.basis)
+        roots = self._find_roots()
         fixed, prescribed = conditions.at([d.basis for d in self._drafts], share)
         if self.boundaries:
             fixed = [
-                conditions.within_reach(held, d.field.space, d.basis, d.full_stencils, d.of_points)
-                for d, held in zip(self._drafts, fixed)
+                conditions.within_reach(mask, f.space, d.basis, d.full_stencils, d.of_points)
+                for f, d, mask in zip(self._fields, self._drafts, fixed)
             ]
-        grid, moving = self._points.grid, self._moving
-        self._share(
-            "entities", lambda d: entities(grid, moving, d.full_stencils, d.of_points, d.basis)
-        )
-        active = [self._parted(self._active(d, own)) for d, own in zip(self._drafts, fixed)]
+        grid, moving = self._points.grid, self._terms.moving
+        for draft in self._once:
+            both = draft.full_stencils, draft.of_points
+            draft.entities = entities(grid, moving, *both, draft.basis)
+        active = [self._active(k, mask, roots.get(k)) for k, mask in enumerate(fixed)]
+        if self.boundaries:
+            number = len(self._bodies.x)
+            sizes = number, len(self._where.x) - number
+            active = [with_separate_stencils(f, self.boundaries, *sizes) for f in active]
         return active, fixed, prescribed
 
-    def _share(self, name: str, make: Callable[[_Draft], Any]) -> None:
-        """Compute an attribute per field, once for all fields with the same key. Collective."""
-        made: dict[Hashable, Any] = {}
-        for draft in self._drafts:
-            if draft.key not in made:
-                made[draft.key] = make(draft)
-            setattr(draft, name, made[draft.key])
+    def _find_roots(self) -> dict[int, MeshRoots]:
+        """Roots of ill-filled cells on meshes that are no lattices, by field. Collective.
 
-    def _find_roots(self) -> None:
-        """Add roots on other ranks to bases, for grids that are not rectangular. Collective."""
-        found = False
-        for draft in self._drafts:
-            constraining, basis = draft.field.constraining, draft.basis
+        Bases get to know the roots on other ranks.
+        """
+        found: dict[int, MeshRoots] = {}
+        for k, (field, draft) in enumerate(zip(self._fields, self._drafts)):
+            constraining, basis = field.constraining, draft.basis
             if constraining is None or not isinstance(basis, LinearBasis):
                 continue
-            found = True
             filled = constraining.measure(self._where, draft.full_stencils, basis)
-            draft.roots = mesh_roots(basis, draft.nodes, filled, constraining.level(basis.degree))
-            wider = basis.knowing(*draft.roots.unknown)
-            for other in self._drafts:
+            found[k] = mesh_roots(basis, draft.nodes, filled, constraining.level(basis.degree))
+            wider = basis.knowing(*found[k].unknown)
+            for other in self._once:
                 # fields that share a basis must still share it
                 other.basis = wider if other.basis is basis else other.basis
-        if found:
-            self._share("nodes", lambda d: active_nodes(d.full_stencils, d.basis))
+        for draft in self._once if found else ():
+            draft.nodes = active_nodes(draft.full_stencils, draft.basis)
+        return found
 
-    def _active(self, draft: _Draft, fixed: Fixed) -> ActiveField:
-        """One field on the active cells, with points and markers together. Collective."""
-        field, basis, seen, nodes = draft.field, draft.basis, draft.full_stencils, draft.nodes
-        constraining, active = field.constraining, nodes
-        C = None
-        if constraining is not None:
-            C = constraining.constraint_matrix(self._where, basis, seen, nodes, fixed, draft.roots)
-        if C is not None and field.stabilisation.kind == "weak-aggregation":
-            owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
-            radius = basis.node_coordinates()[:, 0] if self._points.axisymmetric else None
-            sizes = basis.node_sizes() if isinstance(basis, LeafBasis) else None
-            entries = field.stabilisation.penalty(field.space, C, owned, radius, sizes)
-            self.penalties.append(Blocks(draft.number, draft.number, *entries))
-            C = None
-        level = None if C is None or constraining is None else constraining.level(basis.degree)
-        if field.prolongate is not None:
-            call = functools.partial(field.prolongate, seen, nodes)
-            if (of_basis := getattr(field.prolongate, "of_basis", None)) is not None:
-                call = functools.partial(of_basis, basis, nodes)
-            own = own_matrix(call, basis.nodes.size, self._points.comm)
-            C = own if C is None else C @ own
-        if isinstance(basis, LeafBasis) and basis.hangs.any():
-            H = basis.hanging
-            # a node may follow a root with hanging corners
-            C = H if C is None else H @ C @ H
-        to_grid, stencils = extraction(field.space, basis), seen
+    def _active(self, k: int, fixed: Mask, roots: MeshRoots | None) -> ActiveField:
+        """The k-th field on the active cells, with points and markers together. Collective."""
+        field, draft = self._fields[k], self._drafts[k]
+        basis, seen, nodes = draft.basis, draft.full_stencils, draft.nodes
+        C = level = None
+        follows = field.constrains_nodes or field.prolongate is not None
+        if follows or isinstance(basis, LeafBasis):
+            placed = self._where, seen, nodes
+            C, level, penalty = constraints_of(field, basis, *placed, fixed, roots)
+            if penalty is not None:
+                self.penalties.append(Blocks(k, k, *penalty))
+        to_grid, stencils, independent = extraction(field.space, basis), seen, nodes
         if C is not None:
             prolongation = Prolongation(C)
             C = prolongation.matrix
             to_grid = C if to_grid is None else to_grid @ C
             stencils = prolongation.stencils(seen)
-            nodes = nodes[~prolongation.constrained[nodes]]
+            independent = nodes[~prolongation.constrained[nodes]]
         return ActiveField(
-            field.space, basis, seen, active, stencils, nodes, C, to_grid, draft.entities, seen,
-            level=level,
+            field.space, basis, seen, nodes, stencils, independent, C, to_grid, draft.entities,
+            seen, level=level,
         )  # fmt: skip
 
-    def _parted(self, field: ActiveField) -> ActiveField:
-        """A field with separate stencils of the points and of each boundary's markers."""
-        if not self.boundaries:
-            return field
-        n = len(self._bodies.x)
 
-        def part(s: Stencils, first: int, rows: npt.NDArray[np.int32]) -> Stencils:
-            number = np.arange(len(self._where.x))
-            own = selected(s, (number >= first) & (number < first + len(rows)))
-            return replace(own, order=rows[own.order - first])
+def active_region(region: PointTerms, points: MaterialPoints, here: ActiveDomain) -> ActiveRegion:
+    """Stencils and means of a region of the body. Collective if it has means over cells.
 
-        of_markers, first = {}, n
-        for number, one in self.boundaries.items():
-            of_markers[number] = part(field.stencils, first, one.rows)
-            first += len(one.rows)
-        own = np.arange(n, dtype=np.int32)
-        return replace(
-            field,
-            full_stencils=part(field.full_stencils, 0, own),
-            stencils=part(field.stencils, 0, own),
-            of_markers=of_markers,
-        )
+    Args:
+        region: The region.
+        points: Material points.
+        here: Points, active fields and unknowns.
+    """
+    chosen = None if region.everywhere else region.chosen(points["tag"])
+    stencils, averages = [f.stencils for f in here.fields], None
+    if region.averages:
+        field = averaging_field(region, here)
+        sharing = sharing_stencils(here.where, field.full_stencils, field.basis)
+        *stencils, shared = _of_points([*stencils, sharing], chosen)
+        averages = averages_of(region, points, here.where, shared, field.basis)
+    else:
+        stencils = _of_points(stencils, chosen)
+    if here.total:
+        stencils = all_pushed_forward(stencils, in_section(points, points["F"]))
+    within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
+    return ActiveRegion(stencils, averages, within)
+
+
+def _of_points(stencils: Sequence[Stencils], chosen: Mask | None) -> list[Stencils]:
+    """Stencils of the chosen points, or of all, in common groups. Common objects stay common."""
+    if chosen is not None:
+        once = {id(s): selected(s, chosen) for s in stencils}
+        stencils = [once[id(s)] for s in stencils]
+    return joined(stencils)

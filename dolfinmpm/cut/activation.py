@@ -22,6 +22,7 @@ from dolfinmpm.cut.cellcouplings import CellCouplings
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.grid.halo import Numbering
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ __all__ = [
     "Field",
     "LazyPattern",
     "Prolongate",
-    "RegionTerms",
     "Terms",
     "TermsOverBoundary",
     "movers",
@@ -51,25 +51,6 @@ Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], "sparse.spmatrix"]
 Entities = dict[int, npt.NDArray[np.int32]]
 
 
-class RegionTerms(Protocol):
-    """Points with the same terms in a weak form."""
-
-    @property
-    def averages(self) -> bool:
-        """Whether a law uses means over cells."""
-
-    @property
-    def by_centres(self) -> bool:
-        """Whether the means count each point only in the cell of its centre."""
-
-    @property
-    def tags(self) -> frozenset[int] | None:
-        """Tags of its points. None means all points, or all points except some."""
-
-    def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
-        """Mask of the points of the region, or None for all points."""
-
-
 class TermsOverBoundary(Protocol):
     """Terms over a boundary that does not fit the grid."""
 
@@ -78,7 +59,7 @@ class TermsOverBoundary(Protocol):
         """The boundary."""
 
     @property
-    def regions(self) -> Sequence[RegionTerms]:
+    def regions(self) -> Sequence[PointTerms]:
         """Parts of the boundary with separate terms."""
 
     def sees(self, u: Any) -> bool:
@@ -96,7 +77,7 @@ class Terms(Protocol):
     """Interface of a weak form for activations."""
 
     @property
-    def regions(self) -> Sequence[RegionTerms]:
+    def regions(self) -> Sequence[PointTerms]:
         """Parts of the body with separate terms."""
 
     @property
@@ -126,18 +107,18 @@ class Field:
         space: The space.
         stabilisation: The stabilisation.
         prolongate: Function of stencils and active nodes that returns a matrix C, or None.
-        beside: A second stabilisation that constrains nodes, or None.
+        second: A second stabilisation that constrains nodes, or None.
     """
 
     space: Space
     stabilisation: Stabilisation
     prolongate: Prolongate | None = None
-    beside: Stabilisation | None = None
+    second: Stabilisation | None = None
 
     @functools.cached_property
     def constraining(self) -> Stabilisation | None:
         """The stabilisation that constrains nodes to others, or None."""
-        return self.stabilisation if self.stabilisation.constrains_nodes else self.beside
+        return self.stabilisation if self.stabilisation.constrains_nodes else self.second
 
     @property
     def constrains_nodes(self) -> bool:
@@ -149,7 +130,7 @@ def with_constraints(field: Field) -> Field:
     """A field whose nodes with little support are constrained, with any stabilisation."""
     if field.constrains_nodes or field.prolongate is not None:
         return field
-    return replace(field, beside=Stabilisation("aggregation"))
+    return replace(field, second=Stabilisation("aggregation"))
 
 
 @dataclass(frozen=True)
@@ -198,12 +179,12 @@ class ActiveRegion:
 
     Attributes:
         stencils: Stencils in each field, in common groups.
-        means: Means over cells, or None if no law uses means.
+        averages: Means over cells, or None if no law uses means.
         within: Numbering of the nodes, and active nodes, of each field.
     """
 
     stencils: list[Stencils]
-    means: CellAverages | None
+    averages: CellAverages | None
     within: list[tuple[Numbering, npt.NDArray[np.int32]]]
 
     @functools.cached_property
@@ -215,10 +196,10 @@ class ActiveRegion:
         Raises:
             ParameterError: Ranks constrain different nodes.
         """
-        if self.means is None:
+        if self.averages is None:
             return None
         found = [
-            CellCouplings(self.means, s, numbering, nodes)
+            CellCouplings(self.averages, s, numbering, nodes)
             for s, (numbering, nodes) in zip(self.stencils, self.within)
         ]
         if not all(c.complete for c in found):
@@ -269,16 +250,16 @@ class LazyPattern:
 
     def __init__(self, build: Callable[[], Pattern]):
         self._build: Callable[[], Pattern] | None = build
-        self.known: Pattern | None = None
+        self.made: Pattern | None = None
 
     @property
     def pattern(self) -> Pattern:
         """The pattern."""
-        if self.known is None:
+        if self.made is None:
             assert self._build is not None
             # the function keeps the data of the pattern alive and is released too
-            self.known, self._build = self._build(), None
-        return self.known
+            self.made, self._build = self._build(), None
+        return self.made
 
 
 @dataclass(frozen=True)

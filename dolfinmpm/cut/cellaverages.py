@@ -15,7 +15,8 @@ negative and sum to 1 at a point. Below, "cell" means a lower spline too.
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -26,14 +27,22 @@ from mpi4py import MPI
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import lattice_basis
 from dolfinmpm.basis.stencils import add_weighted
+from dolfinmpm.body.location import bounds
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.fractions import domain_shares
 from dolfinmpm.cut.prolongation import Prolongation
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
+
+if TYPE_CHECKING:
+    from dolfinmpm.cut.activation import ActiveDomain, ActiveField
 
 __all__ = [
     "CellAverages",
     "Shares",
+    "averages_of",
+    "averaging_field",
     "layers_needed",
     "numbering",
     "sharing_stencils",
@@ -183,6 +192,35 @@ def layers_needed(span: int, basis: Basis) -> int:
         basis: The basis of the field.
     """
     return span - 1 + int(_over_splines(basis))
+
+
+def averaging_field(region: PointTerms, here: ActiveDomain) -> ActiveField:
+    """The field whose cells the means of a region belong to."""
+    found = here.fields[0]
+    for field in (here.fields[k] for k in here.movers):
+        if field.space.tags is not None and (region.tags or set()) <= set(field.space.tags):
+            found = field
+    return found
+
+
+def averages_of(
+    region: PointTerms, points: MaterialPoints, where: Placement, shared: Stencils, basis: Basis
+) -> CellAverages:
+    """The means over cells of a region. Collective.
+
+    Args:
+        region: The region.
+        points: Material points.
+        where: Their positions and domains for the stencils.
+        shared: Result of `sharing_stencils`, in any groups.
+        basis: The basis of the field.
+    """
+    if region.by_centres:
+        # a point on the grid's upper edge is in the last cell
+        inside = np.nextafter(bounds(points.grid)[1], -np.inf)
+        x = np.minimum(where.x, inside)
+        where = replace(where, x=x, half=np.zeros_like(where.half))
+    return CellAverages(points["V"], where, shared, basis)
 
 
 class CellAverages:

@@ -152,24 +152,24 @@ class CellCouplings:
     adds the products to the matrix.
 
     Args:
-        means: Averages over the cells.
+        averages: Averages over the cells.
         stencils: Stencils on the solver's nodes.
         numbering: Numbering of the nodes.
         nodes: The solver's active nodes known on this rank.
 
     Attributes:
-        means: The averages.
+        averages: The argument.
         complete: Whether every rank knows all nodes of its cells. Otherwise the couplings cannot
             be used.
     """
 
-    def __init__(self, means: CellAverages, stencils: Stencils, numbering, nodes):
-        self.means = means
+    def __init__(self, averages: CellAverages, stencils: Stencils, numbering, nodes):
+        self.averages = averages
         self._stencils = s = stencils
-        cells, of = means.shares.cells, means.shares.of
-        pairs = np.diff(means.shares.cell_start)
+        cells, of = averages.shares.cells, averages.shares.of
+        pairs = np.diff(averages.shares.cell_start)
         group_of = np.repeat(np.arange(pairs.size), pairs)
-        shared = means.shares.pairs(s.groups)
+        shared = averages.shares.pairs(s.groups)
         first = running_sum(np.bincount(of[shared], minlength=cells.size), np.int64)
         of_cell = shared[np.argsort(of[shared], kind="stable")]
         self._start = np.zeros(cells.size + 1, np.int64)
@@ -187,18 +187,18 @@ class CellCouplings:
             out = np.empty(self._start[-1], np.int32)
         self._nodes = out
         # if every cell has one group, the stencils contain all couplings
-        self._simple = not means.exchanges and bool(np.all(np.diff(first) <= 1))
+        self._simple = not averages.exchanges and bool(np.all(np.diff(first) <= 1))
         self.complete = True
         self._exchange: _Exchange | None = None
-        if means.exchanges:
+        if averages.exchanges:
             self._exchange = _Exchange(cells, numbering, nodes, self._start, self._nodes)
             self.complete = self._exchange.complete
 
     def lists(self) -> tuple[npt.NDArray, npt.NDArray] | None:
         """Lists of coupled nodes, or None if the stencils contain all couplings."""
-        return None if self._simple else self.merged()
+        return None if self._simple else self.matrix_lists()
 
-    def merged(self) -> tuple[npt.NDArray, npt.NDArray]:
+    def matrix_lists(self) -> tuple[npt.NDArray, npt.NDArray]:
         """Start and nodes of the cells that this rank adds to the matrix."""
         return (self._start, self._nodes) if self._exchange is None else self._exchange.lists
 
@@ -216,14 +216,14 @@ class CellCouplings:
             column: First column of the field in the flux.
             out: Forces by cell and node, see `forces`.
         """
-        s, shares = self._stencils, self.means.shares
+        s, shares = self._stencils, self.averages.shares
         _add_forces(
             first, last, s.groups, s.node_start, s.value_start, s.N, s.dN, shares.cell_start,
             shares.start, shares.values, self._entry_start, self._entry, flux, column, out,
         )  # fmt: skip
 
     def summed(self, values: Array) -> Array:
-        """Sums over all ranks by cell and node, on the entries of `merged`. Collective."""
+        """Sums over all ranks by cell and node, on the entries of `matrix_lists`. Collective."""
         return values if self._exchange is None else self._exchange.merge(values)
 
 
@@ -251,7 +251,7 @@ def add_outer(
             components) of the row field.
     """
     _add_outer(
-        *rows.merged(), *columns.merged(), rows.means.volume, rows.summed(left),
+        *rows.matrix_lists(), *columns.matrix_lists(), rows.averages.volume, rows.summed(left),
         columns.summed(right), unknowns[0].row_of, unknowns[1].row_of, pattern.indptr,
         pattern.indices, data, prescribed, lift,
     )  # fmt: skip

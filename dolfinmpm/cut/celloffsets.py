@@ -82,11 +82,11 @@ def _with_roots(where: Placement, field: ActiveField, sums: Array) -> tuple[Arra
     filled = fill_fractions(where, field.full_stencils, basis)
     root = _roots(basis, filled, field.level)
     own = np.arange(basis.cells.owned)
-    together = _summed(basis, root, np.column_stack([sums[own], filled[own]]))
+    of_roots = _summed(basis, root, np.column_stack([sums[own], filled[own]]))
     # only the owner of a cell knows its root
-    shared = basis.cells.vector(together.shape[1])
-    result = shared.array.reshape(-1, together.shape[1])
-    result[own] = together[root]
+    shared = basis.cells.vector(of_roots.shape[1])
+    result = shared.array.reshape(-1, of_roots.shape[1])
+    result[own] = of_roots[root]
     shared.scatter_forward()
     return result[:, :-1], result[:, -1]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import (
     ConflictingConditionsError,
+    ParameterError,
     UnsupportedGridError,
     raise_together,
 )
@@ -21,9 +23,10 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.cut.activecells import active_nodes
-from dolfinmpm.cut.leafconditions import on_leaves
+from dolfinmpm.grid.sides import side_of
+from dolfinmpm.grid.userfunctions import call_function, choose
 
-__all__ = ["EssentialConditions", "renumbered"]
+__all__ = ["EssentialConditions", "nodes_at_side", "on_leaves", "renumbered"]
 
 Basis = LatticeBasis | LinearBasis | LeafBasis
 Flags = npt.NDArray[np.bool_]
@@ -80,6 +83,7 @@ class EssentialConditions:
     Attributes:
         conditions: The conditions.
         changing: Whether prescribed values may differ from zero in some step.
+        follows: Whether some condition's nodes may change.
 
     Raises:
         ConflictingConditionsError: Two conditions prescribe different values of a component.
@@ -91,20 +95,16 @@ class EssentialConditions:
         comm = spaces[0].grid.comm
         changing = any(condition.changes for condition in conditions)
         self.changing: bool = comm.allreduce(changing, op=MPI.LOR)
+        self.follows = any(condition.place is not None for condition in conditions)
         self._fixed: dict[tuple[Basis, ...], list[Flags]] = {}
         self._still: dict[tuple[Basis, ...], list[Array]] = {}
         self.at([space.basis for space in spaces], 1.0)
-
-    @property
-    def follows(self) -> bool:
-        """Whether some condition's nodes may change."""
-        return any(condition.place is not None for condition in self.conditions)
 
     def follow(self) -> None:
         """Move conditions to the present positions of their places. Collective."""
         now = [condition.now() for condition in self.conditions]
         # on leaves the places choose other nodes than on the grid
-        leaves = self.follows and any(space.refinement is not None for space in self._spaces)
+        leaves = any(space.refinement is not None for space in self._spaces)
         if leaves or any(a is not b for a, b in zip(now, self.conditions)):
             self.conditions[:] = now
             self._fixed.clear()
@@ -166,10 +166,10 @@ class EssentialConditions:
     def within_reach(
         self, fixed: Flags, space: Space, basis: Basis, seen: Stencils, of_points: Stencils
     ) -> Flags:
-        """Leave out conditions where only markers reach held nodes. Collective.
+        """Leave out conditions where only markers reach constrained nodes. Collective.
 
-        A condition holds a node that points reach, and nodes beside it. A body that does not reach
-        a side of the grid is not held there, whatever its markers reach.
+        A condition constrains a node that points reach, and neighbours of this node. A body that
+        does not reach a side of the grid is free there, whatever its markers reach.
 
         Args:
             fixed: Mask of the prescribed components, shape (nodes, components).
@@ -185,22 +185,22 @@ class EssentialConditions:
         lost = np.setdiff1d(active_nodes(seen, basis), np.flatnonzero(reached))
         if not numbering.comm.allreduce(bool(fixed[lost].any()), op=MPI.LOR):
             return fixed
-        held = fixed.copy()
-        held[lost] = False
+        result = fixed.copy()
+        result[lost] = False
         group = np.repeat(np.arange(seen.groups.size - 1), np.diff(seen.node_start))
         for condition in self.conditions:
             if condition.space is not space:
                 continue
             own = self._nodes_of(condition, basis)
             touched = np.bincount(group, (own & reached)[seen.nodes], seen.groups.size) > 0
-            beside = np.zeros(reached.size, bool)
-            beside[seen.nodes[touched[group]]] = True
-            held[:, condition.component] |= own & numbering.share_flags(beside)
-        return held
+            near = np.zeros(reached.size, bool)
+            near[seen.nodes[touched[group]]] = True
+            result[:, condition.component] |= own & numbering.share_flags(near)
+        return result
 
     @staticmethod
     def _nodes_of(condition: Condition, basis: Basis) -> Flags:
-        """Mask of the nodes that a condition holds, in a basis of its space. Collective."""
+        """Mask of the nodes that a condition constrains, in a basis of its space. Collective."""
         if isinstance(basis, LeafBasis):
             flags = np.zeros(basis.nodes.size, bool)
             flags[on_leaves(condition, basis).nodes] = True
@@ -241,3 +241,45 @@ class EssentialConditions:
             values[nodes, column] = value
             owner[nodes, column] = number
         return error
+
+
+def nodes_at_side(basis: LeafBasis, axis: int, end: int) -> npt.NDArray[np.int32]:
+    """Nodes of leaves at a side of the grid, among all nodes that this rank knows, shape (n,).
+
+    For splines these are the functions that do not vanish at the side.
+
+    Args:
+        basis: The basis on the leaves.
+        axis, end: Direction of the side's normal, and 0 for its lower or 1 for its upper end.
+    """
+    line, x = basis.lattice.lines[axis], basis.node_coordinates()[:, axis]
+    chosen = np.abs(x - line[-end]) <= 1e-9 * (line[-1] - line[0])
+    return np.flatnonzero(chosen).astype(np.int32)
+
+
+def on_leaves(condition: Condition, basis: LeafBasis) -> Condition:
+    """The condition with its nodes and values on the present leaves.
+
+    Args:
+        condition: A condition of a refined space.
+        basis: The basis on the leaves.
+
+    Raises:
+        ParameterError: Its values were given as one number per node of the grid.
+    """
+    x = basis.node_coordinates()[:, : basis.grid.geometry.dim]
+    if callable(condition.chooses):
+        chosen = choose("the function of places", condition.chooses, x)
+        nodes = np.flatnonzero(chosen).astype(np.int32)
+    else:
+        nodes = nodes_at_side(basis, *side_of(condition.chooses, x.shape[1])[1:])
+    value = condition.value
+    if condition.function is not None:
+        what = f"the {condition.kind} prescribed at '{condition.where}'"
+        value = call_function(what, condition.function, x[nodes])
+    elif not isinstance(value, fem.Constant) and np.ndim(value) > 0:
+        raise ParameterError(
+            f"the {condition.kind} prescribed at '{condition.where}' is one number per node of the "
+            "grid, and the nodes of a refined space change: give a function of positions"
+        )
+    return replace(condition, nodes=nodes, value=value)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm.cut.pattern import Blocks
 
-__all__ = ["merged", "summed"]
+__all__ = ["one_block_per_pair", "summed"]
 
 Array = npt.NDArray[np.float64]
 Nodes = npt.NDArray[np.int32]
@@ -80,7 +80,7 @@ def summed(rows: Nodes, columns: Nodes, values: Array) -> tuple[Nodes, Nodes, Ar
     return found_rows[:count], found_columns[:count], found[:count].reshape(shape)
 
 
-def merged(blocks: Sequence[Blocks]) -> list[Blocks]:
+def one_block_per_pair(blocks: Sequence[Blocks]) -> list[Blocks]:
     """One block per pair of fields, with the sums of all. Single blocks are not copied."""
     pairs: dict[tuple[int, int], list[Blocks]] = {}
     for b in blocks:

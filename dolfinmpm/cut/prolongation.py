@@ -7,15 +7,13 @@ DOLFINx's assemblers are multiplied by C.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
-from mpi4py import MPI
 
-from dolfinmpm._platform.errors import DolfinMPMError, ParameterError, call_together
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.cut.pattern import Blocks
@@ -23,47 +21,7 @@ from dolfinmpm.cut.pattern import Blocks
 if TYPE_CHECKING:
     from scipy import sparse
 
-__all__ = ["Prolongation", "own_matrix", "reduce_blocks"]
-
-
-def own_matrix(function: Callable[[], Any], size: int, comm: MPI.Comm) -> sparse.csr_matrix:
-    """The matrix C of a user's function. Collective.
-
-    Args:
-        function: Function without arguments, which returns the matrix.
-        size: Number of nodes of this rank.
-        comm: Communicator.
-
-    Raises:
-        ParameterError: The function fails, or returns something else, or zeros on all ranks.
-    """
-    from scipy import sparse
-
-    def made() -> sparse.csr_matrix:
-        try:
-            C = sparse.csr_matrix(function(), dtype=np.float64)
-        except DolfinMPMError:
-            raise
-        except Exception as error:
-            raise ParameterError(
-                f"prolongation failed with {type(error).__name__}: {error}; it is called with "
-                "stencils and active nodes, and returns a matrix of shape (nodes, nodes)"
-            ) from error
-        if C.shape != (size, size) or not np.isfinite(C.data).all():
-            raise ParameterError(
-                f"prolongation returned a matrix of shape {C.shape}, and must return finite "
-                f"numbers of shape {(size, size)}, one row and one column per node of this rank"
-            )
-        return C
-
-    C = call_together(comm, made)
-    entries, nodes = comm.allreduce(np.array([np.count_nonzero(C.data), size]), op=MPI.SUM)
-    if nodes and not entries:
-        raise ParameterError(
-            f"prolongation returned zeros for all {nodes} nodes, which would hold the whole body: "
-            "the row of an independent node has a 1 in its own column"
-        )
-    return C
+__all__ = ["Prolongation", "reduce_blocks"]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -117,8 +75,6 @@ def reduce_blocks(
             nodes of the result), or None for the identity.
         blocks: A.
     """
-    if row_matrix is None and column_matrix is None:
-        return blocks
     from scipy import sparse
 
     rows, columns, values = blocks.rows, blocks.columns, blocks.values

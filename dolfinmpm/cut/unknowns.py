@@ -55,8 +55,8 @@ class FieldUnknowns:
     def places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Positions of owned unknowns, and of prescribed components, in flat nodal arrays."""
         flat = self.owned_nodes[:, None] * self.components + np.arange(self.components)
-        held = self.fixed[self.owned_nodes]
-        return flat[~held].astype(np.intp), flat[held].astype(np.intp)
+        fixed = self.fixed[self.owned_nodes]
+        return flat[~fixed].astype(np.intp), flat[fixed].astype(np.intp)
 
     @functools.cached_property
     def size(self) -> int:
@@ -190,17 +190,17 @@ class Unknowns:
         self.comm: MPI.Intracomm = numberings[0].comm
         made, self.local, self.mine, offset = [], 0, 0, 0
         free_of = []
-        for numbering, active, held in zip(numberings, nodes, fixed):
-            free = ~held[active]
+        for numbering, active, mask in zip(numberings, nodes, fixed):
+            free = ~mask[active]
             numbered = np.ones_like(free) if blocks else free
             rows = np.full(free.shape, -1, np.int32)
             count = int(np.count_nonzero(numbered))
             rows[numbered] = np.arange(self.local, self.local + count, dtype=np.int32)
             rows[~free] = -1
-            row_of = np.full(held.shape, -1, np.int32)
+            row_of = np.full(mask.shape, -1, np.int32)
             row_of[active] = rows
-            components = held.shape[1]
-            made.append(FieldUnknowns(numbering, components, active, held, row_of, offset, blocks))
+            components = mask.shape[1]
+            made.append(FieldUnknowns(numbering, components, active, mask, row_of, offset, blocks))
             self.local += count
             self.mine += made[-1].size
             offset += numbering.size
@@ -241,8 +241,8 @@ class Unknowns:
             blocks == (self.block > 1)
             and len(nodes) == len(self.fields)
             and all(
-                f.fixed is held and np.array_equal(f.nodes, active)
-                for f, active, held in zip(self.fields, nodes, fixed)
+                f.fixed is mask and np.array_equal(f.nodes, active)
+                for f, active, mask in zip(self.fields, nodes, fixed)
             )
         )
         return self.comm.allreduce(here, op=MPI.LAND)
@@ -266,9 +266,9 @@ class Unknowns:
         """
         x, at = self._partition.given_back(x), 0
         for field, values, u in zip(self.fields, prescribed, out.arrays):
-            free, held = field.places
+            free, fixed = field.places
             u.reshape(-1)[free] = x[at : at + field.size][field.rows]
-            u.reshape(-1)[held] = values.reshape(-1)[held]
+            u.reshape(-1)[fixed] = values.reshape(-1)[fixed]
             at += field.size
         out.spread()
 

@@ -84,7 +84,7 @@ def boundary_forces(operator: Operator) -> list[Array] | None:
     if not operator.has("boundary"):
         return None
     forces = list(operator.forces_of("boundary", renewed=True))
-    if operator.form.means is None or not has_walls(operator):
+    if operator.form.contact_weights is None or not has_walls(operator):
         return forces
     return [a + b for a, b in zip(forces, wall_forces(operator, "acting"))]
 
@@ -112,7 +112,7 @@ def works_of_boundaries(
         for i, force in enumerate((0.5 * (start[k] + end[k]), end[k])):
             works[i] -= np.sum((force * u[k])[at])
     # in implicit steps the forces do not have those of walls
-    for of in operator.form.boundaries if operator.form.means is None else ():
+    for of in operator.form.boundaries if operator.form.contact_weights is None else ():
         fields, moved = state.of(of.markers), state.moved[of.markers.number]
         for condition in of.conditions:
             works[0] -= condition.own_work(fields, moved)

@@ -234,11 +234,13 @@ def velocities_at(
         step: The step.
         increment: Function from a velocity by time (m/s) to the increment (m) of a whole step.
     """
-    conditions, values = problem.held.conditions, here.prescribed
+    conditions, values = problem.essential_conditions.conditions, here.prescribed
     if any(condition.velocity is not None for condition in conditions):
         present = [np.array(condition.values) for condition in conditions]
         set_velocities(conditions, increment)
-        values = problem.held.at([field.basis for field in here.fields], step.share)[1]
+        values = problem.essential_conditions.at(
+            [field.basis for field in here.fields], step.share
+        )[1]
         for condition, value in zip(conditions, present):
             if condition.velocity is not None:
                 condition.value.value = value

@@ -96,7 +96,7 @@ class CollisionSteps(ExplicitBase):
         """Take one step; see `ExplicitBase`. Collective."""
         problem, damping = self._problem, self._settings.damping
         points, dt, kick = problem.points, step.dt, step.kick
-        raise_together(points.comm, points.fault())
+        raise_together(points.comm, points.error_in_fields())
         balance(points)
         here = problem.activate(step)
         self._loads.evaluate()

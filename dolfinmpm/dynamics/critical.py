@@ -79,7 +79,7 @@ def cell_sizes_at(points: MaterialPoints, space: Any) -> Array | None:
     if space.refinement is None:
         return None
     where = points.placement(space.configuration)
-    leaves = space.refinement.leaves_for(where, space.basis.averaged)
+    leaves = space.refinement.update_leaves(where, space.basis.averaged)
     return np.asarray(leaves.smallest(where.x, where.half))
 
 

@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
+from dolfinmpm._platform.garbagecollector import free_petsc
 from dolfinmpm.body.loadbalance import balance, imbalance
+from dolfinmpm.body.pointchecks import overwritten, seal_results, unseal_results
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.resultfields import overwritten, seal_results, unseal_results
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time, set_velocities
 from dolfinmpm.dynamics.energies import fastest_point
@@ -186,7 +187,7 @@ class ExplicitCall:
         touched = memory.touched(problem.points)
         if touched:
             points = problem.points
-            raise_together(problem.comm, points.fault() or overwritten(points))
+            raise_together(problem.comm, points.error_in_fields() or overwritten(points))
         unseal_results(problem.points)
         adapted = adapt(problem)
         self._record.split, self._record.merged = adapted.split, adapted.merged
@@ -204,7 +205,8 @@ class ExplicitCall:
     def _check_and_copy(self, touched: Set[str]) -> None:
         """Check the energy balance, and copy the state if a copy is due. Collective."""
         problem, parts = self._problem, self._record.parts
-        petscgarbage.free(problem.comm)
+        if problem.comm.size > 1:
+            free_petsc(problem.comm)
         if parts or touched & _KINETIC:
             self._check_energy(begins=parts == 0)
         if parts % _COPY_EVERY == 0:

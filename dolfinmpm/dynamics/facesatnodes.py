@@ -21,8 +21,7 @@ from dolfinmpm.basis.bspline import integrals, middles
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.essentialconditions import renumbered
-from dolfinmpm.cut.leafconditions import nodes_at_side
+from dolfinmpm.cut.essentialconditions import nodes_at_side, renumbered
 from dolfinmpm.dynamics.groundcolumn import ColumnAtSide, integrals_within
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks
 from dolfinmpm.grid.userfunctions import VelocityByTime

@@ -50,7 +50,7 @@ def why_not(problem: Any, settings: Settings, sides: Sides, options: dict[str, A
         return "the mass is consistent"
     if not settings.plain:
         return "bulk viscosity or filters of light nodes act"
-    if problem.held.follows:
+    if problem.essential_conditions.follows:
         return "a condition follows the body (follows=True)"
     tied = field.stabilisation.constrains_nodes or options.get("prolongation")
     if tied or options.get("updates"):

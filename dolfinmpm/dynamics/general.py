@@ -87,7 +87,7 @@ class GeneralSteps(ExplicitBase):
     def _activated(self, step: ExplicitStep) -> Activation:
         """The activation of a step. Collective."""
         problem = self._problem
-        raise_together(problem.points.comm, problem.points.fault())
+        raise_together(problem.points.comm, problem.points.error_in_fields())
         balance(problem.points)
         problem.bodies.begin(step.dt)
         here = problem.activate(step)

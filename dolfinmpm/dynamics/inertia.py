@@ -99,12 +99,8 @@ class Inertia(ActiveTerm):
         self._known, self._expected = known, expected
         self._masses = [b for mass in masses.values() for b in mass.blocks]
         self._changes = here.blocks_of("changes")
-        self._stiffness = [replace(b, values=factor * b.values) for b in self._masses]
-
-    @property
-    def stiffness(self) -> Sequence[Blocks]:
-        """See `ActiveTerm`."""
-        return [*self._changes, *self._stiffness]
+        inertial = [replace(b, values=factor * b.values) for b in self._masses]
+        self.stiffness = [*self._changes, *inertial]
 
     def external(self, out: Sequence[Array]) -> None:
         """See `ActiveTerm`. M times the known accelerations acts like a load."""
@@ -131,12 +127,7 @@ class Dashpots(ActiveTerm):
     kind, is_load = "inertia", False
 
     def __init__(self, blocks: Blocks, start: Array, owned: npt.NDArray[np.int32]):
-        self._blocks, self._start, self._owned = blocks, start, owned
-
-    @property
-    def stiffness(self) -> Sequence[Blocks]:
-        """See `ActiveTerm`."""
-        return [self._blocks]
+        self.stiffness, self._start, self._owned = [blocks], start, owned
 
     def external(self, out: Sequence[Array]) -> None:
         """See `ActiveTerm`."""

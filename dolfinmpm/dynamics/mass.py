@@ -86,7 +86,7 @@ class MassTerms(Term):
             scatter(field.full_stencils, mass, np.ones((len(mass), 1)), sums)
             nodes = field.active
             single = Blocks(k, k, nodes, nodes, sums[nodes, :, None] * unit)
-            return reduce_blocks(field.C, field.C, single)
+            return single if field.C is None else reduce_blocks(field.C, field.C, single)
         rows, columns, values = mass_entries(field.stencils, mass)
         return Blocks(k, k, rows, columns, values[:, None, None] * unit)
 

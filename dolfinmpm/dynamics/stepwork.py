@@ -60,7 +60,7 @@ class MovingNodes:
 
 def mean_contact_forces(operator: Operator) -> list[Array]:
     """Mean forces of contact on the nodes of each field (N). Collective."""
-    means = operator.form.means
+    means = operator.form.contact_weights
     assert means is not None
     forces = [np.asarray(-force / means.weight) for force in operator.forces_of("contact")]
     if has_walls(operator):

@@ -223,7 +223,7 @@ class NewmarkScheme(TimedScheme):
         self._load_at(problem, step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             bases = [field.basis for field in here.fields]
-            level = problem.held.at(bases, (1 - rule.alpha_f) * step.share)[1]
+            level = problem.essential_conditions.at(bases, (1 - rule.alpha_f) * step.share)[1]
             here = replace(here, prescribed=level)
         self._begin_free_bodies(problem, step)
         share, level_dt = motion.penalty_energy.share, (1 - rule.alpha_f) * step.dt
@@ -261,7 +261,7 @@ class NewmarkScheme(TimedScheme):
                 weight=self.mean_weights.weight,
             )  # fmt: skip
 
-    def count(self, work: float) -> None:
+    def add_body_work(self, work: float) -> None:
         """See `Static`."""
         self.motion.ledger.work.external += work
 
@@ -289,7 +289,7 @@ class NewmarkScheme(TimedScheme):
         if reason is None:
             reason = motion.to_points(operator, state, x, scale, may_halve)
         if reason is None:
-            self.count(boundary_work)
+            self.add_body_work(boundary_work)
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)

@@ -70,6 +70,8 @@ class PointTerms:
 
     Attributes:
         placeholders: Operators, functions and constants in the terms.
+        operators: Operators (laws) in the integrands.
+        everywhere: Whether all points integrate the terms.
     """
 
     def __init__(
@@ -83,9 +85,11 @@ class PointTerms:
         mixed: bool = False,
     ):
         self._tags, self._but, self._mixed = tags, but, mixed
+        self.everywhere = tags is None
         self.placeholders = placeholders = Placeholders(spaces, points)
+        self.operators: list[PointOperator] = placeholders.operators
         increments = [space.increment for space in spaces]
-        self._parts: dict[bool, list[Expr]] = {False: [], True: []}
+        parts: dict[bool, list[Expr]] = {False: [], True: []}
         for integral in integrals:
             volume: Expr = placeholders.placeholder(("field", integral.metadata()["volume"]), ())
             where = tags_of(integral)
@@ -101,12 +105,12 @@ class PointTerms:
                 strange = [o for o in operators_in(term) if not self._has(o.tags)]
                 own = ufl.replace(term, {o: zero(o.ufl_shape) for o in strange})
                 if not isinstance(own, Zero):
-                    self._parts[depends_on(own, increments)].append(volume * placeholders.map(own))
+                    parts[depends_on(own, increments)].append(volume * placeholders.map(own))
         for declaration in declarations:
             # a law's fields are written even if the form contains only its derivative
             if declaration.operator is not None and self._has(declaration.tags):
                 placeholders.map(declaration.operator)
-        self._fluxes = {varies: self._flux(terms) for varies, terms in self._parts.items()}
+        self._fluxes = {varies: self._flux(terms) for varies, terms in parts.items()}
         self._operands = [
             placeholders.map(expand_derivatives(o.operand)) for o in placeholders.operators
         ]
@@ -155,17 +159,12 @@ class PointTerms:
         """Tags of the points; None for all points, and for all points without some tags."""
         return None if self._but else self._tags
 
-    @property
-    def operators(self) -> list[PointOperator]:
-        """Operators (laws) in the integrands."""
-        return self.placeholders.operators
-
     @functools.cached_property
     def averages(self) -> bool:
         """Whether a law takes means over cells."""
         return any(isinstance(operator.law, AveragingLaw) for operator in self.operators)
 
-    @functools.cached_property
+    @property
     def by_centres(self) -> bool:
         """Whether each point counts in the means only in the cell of its centre.
 
@@ -245,11 +244,6 @@ class PointTerms:
                 compile_program(self.placeholders.points.grid, parts, self.placeholders.sources)
             )
         return made
-
-    @property
-    def sloped(self) -> bool:
-        """Whether the tangent has been used; explicit steps never use it."""
-        return "tangent" in self.__dict__
 
     @functools.cached_property
     def tangent(self) -> dict[tuple[int, int], TangentBlock]:

@@ -18,9 +18,15 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import check_kind, floats, number, shown, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
+from dolfinmpm.grid.lattice import (
+    cell_size,
+    coarse_cell_size,
+    lattice_of,
+    require_lattice,
+    times_regridded,
+)
 
-__all__ = ["create_lattice", "set_lines", "times_regridded", "zoned_line"]
+__all__ = ["create_lattice", "set_lines", "zoned_line"]
 
 Array = npt.NDArray[np.float64]
 
@@ -178,11 +184,6 @@ def set_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
         kept[key] = found
     grid.__dict__["_dolfinmpm_regridded"] = times_regridded(grid) + 1
     assert lattice_of(grid) is not None
-
-
-def times_regridded(grid: Any) -> int:
-    """How often the lines of a grid have moved."""
-    return int(grid.__dict__.get("_dolfinmpm_regridded", 0))
 
 
 def _lines(lines: Any) -> list[Array]:

@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
 from dolfinmpm.grid.constants import own_constant
 
-__all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of"]
+__all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of", "times_regridded"]
 
 
 def once_per_grid(function: Callable) -> Callable:
@@ -29,14 +30,21 @@ def once_per_grid(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def wrapper(grid, *args):
-        check_kind("grid", grid, Mesh, "give the background grid, points.grid")
-        kept = grid.__dict__.setdefault("_dolfinmpm", {})
+        kept = getattr(grid, "_dolfinmpm", None)
+        if kept is None:
+            check_kind("grid", grid, Mesh, "give the background grid, points.grid")
+            kept = grid._dolfinmpm = {}
         key = (function.__qualname__, *args)
         if key not in kept:
             kept[key] = function(grid, *args)
         return kept[key]
 
     return wrapper
+
+
+def times_regridded(grid: Any) -> int:
+    """How often the lines of a grid have moved."""
+    return int(grid.__dict__.get("_dolfinmpm_regridded", 0))
 
 
 _BOX_CELLS = (CellType.interval, CellType.quadrilateral, CellType.hexahedron)

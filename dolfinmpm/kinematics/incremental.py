@@ -65,6 +65,7 @@ class Incremental(StrainFormulation):
         self._loop = umat_kernel(points.strain_dim, self._components, strain == "jaumann")
         self._tried, self._size = False, 1.0
         self.umat = law
+        self.keeps = kept_of_umat(self._components, len(law.internal))
 
     def bind(self) -> None:
         """Add the fields, and try the UMAT at one point. Collective.
@@ -113,11 +114,6 @@ class Incremental(StrainFormulation):
                 f"{self.law!r} does not tell its strength: reduce its properties, and make a new "
                 "law and a new problem for each factor"
             )
-
-    @property
-    def keeps(self) -> int:
-        """How many numbers per point are kept between residual and tangent; see `KeepingLaw`."""
-        return kept_of_umat(self._components, len(self.umat.internal))
 
     def _respond(
         self, operand: Array, rows: Rows, kept: KeptTangents | None, S, A, new, status

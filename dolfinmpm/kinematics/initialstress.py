@@ -17,7 +17,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm.body.resultfields import seal_stress
+from dolfinmpm.body.pointchecks import seal_stress
 from dolfinmpm.grid.userfunctions import call_function
 from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
 from dolfinmpm.kinematics.strainhistory import GIVEN, MARKS

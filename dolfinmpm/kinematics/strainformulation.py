@@ -48,6 +48,7 @@ class StrainFormulation:
         state: Name of the field of the elastic strain.
         rest: Value of this field without elastic strain.
         from_stress: True if the state of the law is the field `stress` itself.
+        keeps: How many numbers per point are kept between residual and tangent; see `KeepingLaw`.
 
     Args:
         law: Constitutive law.
@@ -69,6 +70,9 @@ class StrainFormulation:
         self._parameters = PointParameters(law, points, tags)
         self._compiled = strain_functions(self.functions, points.strain_dim)  # type: ignore[arg-type]
         self._kernel = stress_kernel(points.strain_dim)
+        self.keeps = kept_numbers(points.strain_dim, len(law.internal))
+        # addresses of compiled functions: without and with the tangent, within and at the end
+        self._addresses: dict[tuple[bool, bool], tuple[int, ...]] = {}
 
     @property
     def rows(self) -> Rows:
@@ -119,11 +123,6 @@ class StrainFormulation:
         number = len(range(len(self.points))[rows]) if isinstance(rows, slice) else len(rows)
         return np.empty((number, 0))
 
-    @property
-    def keeps(self) -> int:
-        """How many numbers per point are kept between residual and tangent; see `KeepingLaw`."""
-        return kept_numbers(self.points.strain_dim, len(self.law.internal))
-
     def principal(self, rows: Rows) -> Array:
         """Elastic principal strains of some points (-), shape (rows, 3)."""
         strain: Array = np.empty((0, 3))
@@ -173,12 +172,14 @@ class StrainFormulation:
             (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
         )
         new, internal, sigma = (np.empty((0, 6)),) * 3 if end is None else end
+        asked = tangent is not None, end is not None
+        if asked not in self._addresses:
+            self._addresses[asked] = (self.law.address, *compiled.programs(*asked))
+        law, *programs = self._addresses[asked]
         return self._kernel(
-            self.law.address, self.parameters(rows),
-            compiled.programs(tangent is not None, end is not None),
-            compiled.checks, compiled.logarithmic, np.ascontiguousarray(operand),
-            np.ascontiguousarray(rows, np.int32), points["F"], points[self.state],
-            self.internal(rows), values, known, value,
+            law, self.parameters(rows), tuple(programs), compiled.checks, compiled.logarithmic,
+            np.ascontiguousarray(operand), np.ascontiguousarray(rows, np.int32), points["F"],
+            points[self.state], self.internal(rows), values, known, value,
             np.empty((0, 1, 1)) if tangent is None else tangent, new, internal, sigma,
         )  # fmt: skip
 

@@ -163,19 +163,19 @@ class Wall:
         force -= p[:, None] * markers["area"]
         return 0.5 * float(np.sum((force + fields[f"{self.name}_force"]) * moved))
 
-    def act(self, in_time: bool, means: Any) -> None:
+    def act(self, in_time: bool, weights: Any) -> None:
         """Act in the steps of a problem.
 
         Args:
             in_time: Whether its steps have inertia. Then friction is stiff, unless its stiffness
                 is given: traction that grows with the slip of a body that hops is not that of its
                 pressure.
-            means: Weights of mean forces, see `dolfinmpm.contact.meanforces`; None for forces at
+            weights: Weights of mean forces, see `dolfinmpm.contact.meanforces`; None for forces at
                 an end of the step.
         """
-        self.weight.value = 0.0 if means is None else means.weight
-        self.scale.value = 1.0 if means is None else means.scale
-        self.penalty = self.given_penalty or (_EXPLICIT if in_time and not means else _PENALTY)
+        self.weight.value = 0.0 if weights is None else weights.weight
+        self.scale.value = 1.0 if weights is None else weights.scale
+        self.penalty = self.given_penalty or (_EXPLICIT if in_time and not weights else _PENALTY)
         if self.friction:
             stiff = _SLIP_IN_TIME * self.penalty if in_time else _SLIP
             self.slip.value = (self.given_slip or stiff) / self.penalty

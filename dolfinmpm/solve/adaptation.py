@@ -15,7 +15,6 @@ from dolfinmpm.basis.refinement import Refinement
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.pointfamilies import FamilyChange, families, merge, split
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import movers
 
 if TYPE_CHECKING:
     from dolfinmpm.solve.problem import Problem
@@ -52,8 +51,7 @@ class Adaptation:
 
 def adapt(problem: Problem) -> Adaptation:
     """Let leaves and points follow the sizes wanted now; see `Problem.adapt`. Collective."""
-    spaces = [problem.form.spaces[k] for k in movers(problem.form.spaces)]
-    spaces = [s for s in spaces if s.refinement is not None and s.per_cell is not None]
+    spaces = problem.form.adaptive
     if not spaces:
         return Adaptation()
     points, number, joined, energies = problem.points, 0, 0, np.zeros(2)
@@ -117,7 +115,7 @@ def _sizes(points: MaterialPoints, spaces: Sequence[Space]) -> Array:
         assert space.refinement is not None
         assert space.per_cell is not None
         where = points.placement(space.configuration)
-        leaves = space.refinement.leaves_for(where, space.basis.averaged)
+        leaves = space.refinement.update_leaves(where, space.basis.averaged)
         own = slice(None) if space.tags is None else np.isin(points["tag"], space.tags)
         x = np.ascontiguousarray(where.x[own])
         _, leaf = leaves.overlapped(x, np.zeros_like(x))

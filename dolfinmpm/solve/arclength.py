@@ -272,8 +272,9 @@ class ArcLength(QuasiStatic):
 
         After an error the state and the load are those of the last step.
         """
-        refuse_time(t, type(self).__name__)
-        raise_together(self.comm, self.path.load.fault())
+        if t is not None:
+            refuse_time(t, type(self).__name__)
+        raise_together(self.comm, self.path.load.error_in_constants())
         started, watch = time.perf_counter(), stages.Watch()
         self._record = record = ArcRecord()
         self._follow_leaves()

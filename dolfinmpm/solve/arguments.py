@@ -30,15 +30,14 @@ from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameErr
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_points
-from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.stabilisations import KINDS, Stabilisation
 
 __all__ = [
     "ELSEWHERE",
+    "check_bcs_and_loads",
     "check_callable",
     "check_conditions",
-    "check_grid",
     "check_limits",
     "check_path",
     "check_petsc_options",
@@ -128,6 +127,27 @@ def check_conditions(bcs: Any, spaces: Sequence[Space]) -> list[Condition]:
     return given
 
 
+def check_bcs_and_loads(bcs: Sequence[Condition], loads: Sequence[Any], configuration: str) -> None:
+    """Raise ParameterError if conditions do not fit the configuration, or are loads, too.
+
+    Args:
+        bcs: The conditions.
+        loads: Constants and functions of the form that carry loads.
+        configuration: Configuration of stencils and gradients.
+    """
+    if configuration == "total" and any(condition.place is not None for condition in bcs):
+        raise ParameterError(
+            'conditions with follows=True need Space(..., configuration="updated"), got '
+            '"total": what is active at first positions stays'
+        )
+    for condition in bcs:
+        if any(condition.value is load for load in loads):
+            raise ParameterError(
+                f"a constant is both a load of the form and the increment prescribed at "
+                f"'{condition.where}'; a substep would scale it twice: use two constants"
+            )
+
+
 def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None:
     """Raise ParameterError unless these numbers are valid limits of Newton's method."""
     number("tolerance", tolerance, 0.0, 1.0)
@@ -182,24 +202,6 @@ def check_spaces(spaces: Sequence[Space]) -> None:
     if len({space.configuration for space in spaces}) > 1:
         raise ParameterError(
             "the fields' spaces are of several configurations; give all of them the same one"
-        )
-
-
-def check_grid(points: MaterialPoints) -> None:
-    """Raise ParameterError if the grid has been moved or scaled since the points were put on it.
-
-    Sizes of cells and positions of grid lines are read only once. Collective.
-    """
-    d = points.gdim
-    x = np.asarray(points.grid.geometry.x[:, :d], float)
-    low, high = bounds(points.grid)
-    now = np.concatenate([x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)])
-    points.comm.Allreduce(MPI.IN_PLACE, now, op=MPI.MIN)
-    if np.abs(now - np.concatenate([low, -high])).max() > 1e-6 * float(np.max(high - low)):
-        raise ParameterError(
-            f"the grid reaches from {now[:d]} to {-now[d:]} m, and did from {low} to {high} m when "
-            "it was first used: its coordinates have been changed since, which points and spaces "
-            "on it do not follow. Change them before, or move grid lines by mpm.regrid"
         )
 
 

@@ -17,8 +17,9 @@ from dolfinmpm.solve.weakform import WeakForm
 
 if TYPE_CHECKING:
     from dolfinmpm.solve.problem import Problem
+    from dolfinmpm.solve.quasistatic import QuasiStatic
 
-__all__ = ["describe", "summary", "warn_of_differences"]
+__all__ = ["describe", "size_and_solver", "summary", "warn_of_differences"]
 
 
 def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) -> dict[str, str]:
@@ -91,8 +92,8 @@ def summary(problem: Problem) -> str:
         fbar = ", F-bar" if law.fbar else ""
         lines.append(f"law: {law.law!r}, {law.strain} strain{fbar}{tags}")
     lines.append(f"terms: {', '.join(_terms(problem)) or 'none'}")
-    held = [f"{c.where}: component {c.component} {_value(c)}" for c in problem.bcs]
-    lines.append(f"conditions: {'; '.join(held) or 'none'}")
+    conditions = [f"{c.where}: component {c.component} {_value(c)}" for c in problem.bcs]
+    lines.append(f"conditions: {'; '.join(conditions) or 'none'}")
     lines += [f"rigid body: '{body.name}'" for body in problem.bodies.all]
     return "\n".join(lines + problem.scheme_lines())
 
@@ -154,3 +155,26 @@ def _value(condition: Any) -> str:
     if np.ndim(condition.value):
         return "increments by node"
     return "held" if condition.value == 0 else f"increment {condition.value:g} m"
+
+
+def size_and_solver(problem: QuasiStatic) -> str:
+    """Lines on points, unknowns and the linear solver at present. Collective."""
+    points, here, comm = problem.points, problem.here, problem.comm
+    counts = comm.allgather((len(points), 0 if here is None else here.unknowns.owned))
+    lines = [_spread("points", [count[0] for count in counts])]
+    if here is not None:
+        lines.append(_spread("unknowns", [count[1] for count in counts], here.unknowns.total))
+        lines.append(f"active cells: {here.active_cells}, ghost facets: {here.ghost_facets}")
+    method = problem.newton.linear.used
+    lines.append(f"linear solver: {method or 'chosen in the first step'}")
+    return "\n".join(lines)
+
+
+def _spread(what: str, counts: list[int], total: int | None = None) -> str:
+    """Sum of a number over all ranks, and its range over the ranks."""
+    text = f"{what}: {sum(counts) if total is None else total}"
+    if len(counts) == 1:
+        return text
+    mean = sum(counts) / len(counts)
+    most = f", {max(counts) / mean:.2f} times the mean" if mean else ""
+    return f"{text}, {min(counts)} to {max(counts)} per rank{most}"

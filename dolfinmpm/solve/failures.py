@@ -1,4 +1,10 @@
-"""Messages about failed steps: the worst point, and advice."""
+"""Failed steps: release of forces out of balance by shares, and messages with advice.
+
+Points that cross cells put the state out of balance: with linear functions by a quarter of the
+loads. The first substep must make up for all of it, however small the substep is. So halving alone
+does not help. Here a substep releases as much of these forces as its share of the way to the end of
+the step, and leaves the others out of balance. At the end of the step all forces balance.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +19,20 @@ from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activecells import active_on_grid
+from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Failed
 
 if TYPE_CHECKING:
     from dolfinmpm.solve.quasistatic import QuasiStatic
 
-__all__ = ["advice_on", "failed_step", "why_step_failed"]
+__all__ = ["FIRST", "advice_on", "begins_unbalanced", "ease", "failed_step", "why_step_failed"]
+
+# Share of the first substep
+FIRST = 0.125
+# Relative force out of balance at the start of the smallest substep, by its share of the load, that
+# is not the load's own
+_UNBALANCED = 4.0
 
 
 def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed:
@@ -150,3 +163,23 @@ def _missing_support(
             "free=(False, True, ...), or take Newmark and give it a mass"
         )
     return ""
+
+
+def begins_unbalanced(problem: QuasiStatic, residuals: Sequence[float]) -> bool:
+    """Whether the state is out of balance at the start of the smallest substep, which failed.
+
+    Args:
+        problem: The problem. Inertia balances forces in its own way, and free bodies add equations.
+        residuals: Relative forces out of balance before and after each iteration.
+    """
+    if problem.scheme.inertia or not isinstance(problem.solver, Newton):
+        return False
+    least = 0.5**problem.max_halvings
+    return least < FIRST and bool(residuals) and residuals[0] > _UNBALANCED * least
+
+
+def ease(operator: Operator, share: float) -> None:
+    """Leave the forces that are out of balance at rest so, but for a share. Collective."""
+    operator.move_to_zero()
+    for mine, force in zip(operator.external, operator.forces()):
+        mine -= (1.0 - share) * force

@@ -81,12 +81,12 @@ class InitialGuess:
         # ranks of the nodes
         self._partition: Partition | None = None
 
-    def count(self, iterations: int) -> None:
+    def record_iterations(self, iterations: int) -> None:
         """Take into account the iterations from zero increments. A single one is not saved."""
         self._plain = iterations
 
     @staticmethod
-    def share(contact: bool) -> float:
+    def allowed_share(contact: bool) -> float:
         """Largest share of the forces at zero increments that a useful guess leaves."""
         return 1.0 if contact else _USEFUL
 
@@ -95,7 +95,7 @@ class InitialGuess:
         self._wait = max(self._wait - 1, 0)
         return contact or (self._wait == 0 and self._plain > 1)
 
-    def judge(self, useful: bool) -> None:
+    def record_use(self, useful: bool) -> None:
         """Take into account whether a guess was of use."""
         if useful:
             self._wait, self._next = 0, 1
@@ -105,8 +105,8 @@ class InitialGuess:
     def keep(self, operator: Operator) -> None:
         """Keep the present increments of an operator. Collective."""
         here, kept, partition = operator.here, [], operator.form.points.partition
-        for field, own, u, scale in zip(
-            here.fields, here.unknowns.fields, operator.increments, self._scales(operator)
+        for field, own, u, factor in zip(
+            here.fields, here.unknowns.fields, operator.increments, self._length_factors(operator)
         ):
             nodes, values = own.nodes, u
             if field.C is not None:
@@ -115,18 +115,18 @@ class InitialGuess:
             leaves = field.basis if isinstance(field.basis, LeafBasis) else None
             if leaves is None:
                 nodes = nodes[: np.searchsorted(nodes, own.numbering.owned)]
-            values = np.asarray(values[nodes] / scale, np.float64)
+            values = np.asarray(values[nodes] / factor, np.float64)
             kept.append(_Kept(nodes, values, leaves))
         if self._partition is not partition:
             self._last, self._former, self._partition = [], [], partition
         rates = [name is None for name in operator.form.values]
         # it is of no use where the next step will not try a guess
         soon = self._wait <= 1
-        self._goes_on = self._judged(kept, rates, here.unknowns.comm) if soon else []
+        self._goes_on = self._trends(kept, rates, here.unknowns.comm) if soon else []
         self._former, self._last = self._last, kept
         self._lengths = self.length, self._lengths[0]
 
-    def _judged(self, kept: list[_Kept], rates: Sequence[bool], comm: MPI.Intracomm) -> list[bool]:
+    def _trends(self, kept: list[_Kept], rates: Sequence[bool], comm: MPI.Intracomm) -> list[bool]:
         """Whether the increments are nearer to changes that go on, per field. Collective.
 
         Args:
@@ -149,7 +149,7 @@ class InitialGuess:
         The rate of a step is that in its middle; values that are carried change with its length.
 
         Args:
-            rates: See `_judged`.
+            rates: See `_trends`.
         """
         last, former = self._lengths
         found: list[Array | None] = []
@@ -174,7 +174,7 @@ class InitialGuess:
         if not self._last or self._partition is not operator.form.points.partition:
             return None
         nodal = operator.here.unknowns.nodal()
-        scales = self._scales(operator)
+        factors = self._length_factors(operator)
         ahead: list[Array | None] = [None] * len(self._last)
         if any(self._goes_on):
             ahead = self._ahead([name is None for name in operator.form.values])
@@ -191,12 +191,12 @@ class InitialGuess:
                 nodes, values = _between_leaves(old, whole, basis)
             # a checkpoint may be of another basis
             known = nodes < len(u)
-            u[nodes[known]] = values[known] * scales[k]
+            u[nodes[known]] = values[known] * factors[k]
         found = operator.here.unknowns.restrict(nodal.arrays)
         moved = operator.here.unknowns.comm.allreduce(bool(found.any()), op=MPI.LOR)
         return found if moved else None
 
-    def _scales(self, operator: Operator) -> list[float]:
+    def _length_factors(self, operator: Operator) -> list[float]:
         """Factor of each field's increments: the step's length, or 1 for carried values."""
         return [self.length if name is None else 1.0 for name in operator.form.values]
 

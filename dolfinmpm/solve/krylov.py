@@ -22,7 +22,7 @@ __all__ = [
     "WithoutSoftStiffness",
     "create",
     "keeps",
-    "share",
+    "relative_tolerance",
 ]
 
 # Relative residual at the end of iterations: of a solution without later correction, and the
@@ -105,7 +105,7 @@ def _suggestions(method: Method, options: Options) -> dict[str, object]:
     return own
 
 
-def share(method: Method, norm: float, former: float | None, enough: float) -> float:
+def relative_tolerance(method: Method, norm: float, former: float | None, enough: float) -> float:
     """Relative residual at which the iterations of a linear solution may end.
 
     More digits would not help Newton's method. This is the second choice of Eisenstat & Walker

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.solve import krylov, latticelevels, schur
-from dolfinmpm.solve.method import Method, Tangent, as_used, crossover
+from dolfinmpm.solve.method import Method, Tangent, as_used
 from dolfinmpm.solve.mumps import WORKSPACE, Mumps
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
@@ -82,13 +82,6 @@ class LinearSolver:
         other._checked = self._checked
         other.choice.no_incomplete = complete
         return other
-
-    def in_blocks(self, count: int) -> bool:
-        """Whether the method for a number of unknowns needs the unknowns of a node in a block."""
-        pc = self._options.get("pc_type")
-        if pc is not None:
-            return pc in ("gamg", "hypre", "mg", "ml")
-        return count >= crossover(self.choice.tangent, self._gdim)
 
     @property
     def mumps(self) -> dict[int, int]:
@@ -225,7 +218,7 @@ class LinearSolver:
             # new incomplete factors are cheap; old ones may suddenly need many iterations
             self.reuse.renew()
         self._prepare()
-        if not method.factors and not method.incomplete and not self._options.has("ksp_max_it"):
+        if not method.factors and not method.incomplete and "ksp_max_it" not in self._options.names:
             most = self.reuse.most(self._ksp.getTolerances()[0], krylov.MOST)
             self._ksp.setTolerances(max_it=most)
 
@@ -244,7 +237,7 @@ class LinearSolver:
             Whether it is: the iteration probably is the last one.
         """
         former = self._former
-        if former is None or not self.has_tangent or self._options.has("snes_lag_jacobian"):
+        if former is None or not self.has_tangent or "snes_lag_jacobian" in self._options.names:
             return False
         if _SAFE * norm**2 > enough * former:
             return False
@@ -254,9 +247,9 @@ class LinearSolver:
     def _aim(self, norm: float, enough: float) -> None:
         """Set the accuracy of the next solution; see `assembled`."""
         if self.reuse is not None and self.method is not None:
-            if not self._options.has("ksp_rtol"):
-                share = krylov.share(self.method, norm, self._former, enough)
-                self._ksp.setTolerances(rtol=share)
+            if "ksp_rtol" not in self._options.names:
+                rtol = krylov.relative_tolerance(self.method, norm, self._former, enough)
+                self._ksp.setTolerances(rtol=rtol)
             self._ksp.setTolerances(atol=max(enough, 1e-300))
         self._former = norm
 
@@ -296,7 +289,7 @@ class LinearSolver:
             if method.factors or method.incomplete:
                 # later right-hand sides of the same matrix need all digits, too
                 self.reuse.renew()
-            elif not self._options.has("ksp_max_it"):
+            elif "ksp_max_it" not in self._options.names:
                 ksp.setTolerances(max_it=krylov.MOST)
         self._prepare()
         ksp.solve(b, y)
@@ -364,7 +357,8 @@ class LinearSolver:
 
     def warn_of_unread_options(self) -> None:
         """Warn of options that PETSc has not read, see `Options`."""
-        self._options.warn_of_unread(self.comm)
+        if self._options.unread:
+            self._options.warn_of_unread(self.comm)
 
     def why(self, error: PETSc.Error) -> str:
         """Reason of a failed factorisation; other errors are raised again."""

@@ -84,7 +84,7 @@ class LoadFactor:
         values = [", ".join(f"{value:.9g}" for value in r.flat) for r in self._reference]
         return " and ".join(f"({value})" for value in values)
 
-    def fault(self) -> ParameterError | None:
+    def error_in_constants(self) -> ParameterError | None:
         """An error if the constants do not hold λ times the load, or None."""
         for k, (constant, reference) in enumerate(zip(self.constants, self._reference)):
             if not np.array_equal(constant.value, self.value * reference):

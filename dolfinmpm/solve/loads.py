@@ -45,6 +45,8 @@ class Loads:
         values = self._read()
         known = [reached(item) for item in self.items]
         self._start = [v if k is None else np.array(k) for v, k in zip(values, known)]
+        # steps take those on that move something, see `begin_at_zero`
+        self._moving = [item for item, k in zip(self.items, known) if k is not None]
         self._target = values
         self.change: list[float] = []
         self._last_change: list[float] = []
@@ -75,7 +77,7 @@ class Loads:
         if not whole:
             self.change = self._last_change
         self._last_change = self.change
-        for item in self.items:
+        for item in self._moving:
             take_reached(item)
 
     def converged(self) -> list[tuple[Any, npt.NDArray[np.float64]]]:
@@ -165,6 +167,9 @@ def check_loads(
                 "the load that the step is to reach"
             )
     for condition in bcs:
+        # numbers have been checked before
+        if not isinstance(condition.value, fem.Constant):
+            continue
         if error is None and not np.isfinite(condition.values).all():
             error = ParameterError(
                 f"the {condition.kind} prescribed at '{condition.where}' is {condition.values} and "

@@ -61,7 +61,7 @@ class Mumps:
         return True
 
     def _given(self, number: int) -> bool:
-        return self._options.has(f"mat_mumps_icntl_{number}")
+        return f"mat_mumps_icntl_{number}" in self._options.names
 
 
 def _solves(ksp: PETSc.KSP) -> bool:

@@ -12,12 +12,12 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.body.axisymmetry import deformation, in_section
+from dolfinmpm.body.axisymmetry import full_gradient, in_section
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import destinations
+from dolfinmpm.body.pointchecks import seal_results, unseal_results
 from dolfinmpm.body.points import MaterialPoints, PointField
-from dolfinmpm.body.resultfields import seal_results, unseal_results
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.lattice import largest_cell
@@ -63,7 +63,7 @@ def new_state(
     points, comm, moves = problem.points, problem.comm, problem.moves and not stays
     evaluation, number = operator.points, len(problem.history) + 1
     moduli = evaluation.moduli() if operator.form.moduli else None
-    new = evaluation.commit()
+    new = evaluation.end_state()
     if moduli is not None:
         new[FIELD] = operator.form.bounded_moduli(moduli)
     for declaration in operator.form.parts.declarations:
@@ -81,15 +81,15 @@ def new_state(
     if moves:
         bad = _move(operator, new, x)
     operator.update_contact()
-    for term in operator.terms:
+    for term in operator.others:
         term.update(state)
     finite = all(np.isfinite(values).all() for values in new.values())
     if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
         if bad.size:
             evaluation.blame(int(bad[0]))
         return "a material point's state is not finite or its volume not positive"
-    for term in operator.terms:
-        reason = term.fault(state)
+    for contact in operator.contacts:
+        reason = contact.fault(state)
         if reason is not None:
             return reason
     if not moves:
@@ -102,7 +102,7 @@ def new_state(
             # Newton's method may find an equilibrium beyond a singular state
             return "material points would be thrown out of the grid, further than a cell"
         raise_together(comm, _outside(points, new["x"], lost, number))
-    for term in operator.terms:
+    for term in operator.others:
         term.follow(state, number)
     return state
 
@@ -120,8 +120,9 @@ def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDA
     """
     points, here = operator.form.points, operator.here
     u, gradient = operator.points.motion(here.movers)
-    dF = deformation(points, u, gradient)
-    new["F"], J = products(np.ascontiguousarray(dF), points["F"])
+    if points.axisymmetric:
+        gradient = full_gradient(points, u, gradient)
+    new["F"], J = products(gradient + np.eye(points.strain_dim), points["F"])
     bad = np.flatnonzero(~(J > 0))
     for declaration in operator.form.parts.declarations:
         if declaration.fbar == VOLUMES and not bad.size:
@@ -143,12 +144,16 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     unseal_results(points)
     for name, values in state.fields.items():
         points.fields[name][...] = values
-    for markers, fields, to in state.beside:
+    for markers, fields, to in state.markers:
         for name, values in fields.items():
             markers.fields[name][...] = values
         if to is not None:
             markers.migrate(to)
-    migrated = 0 if state.to is None else points.migrate(state.to) + balance(points)
+    migrated = 0
+    if state.to is not None:
+        migrated = points.migrate(state.to)
+        if points.comm.size > 1:
+            migrated += balance(points)
     seal_results(points)
     return migrated
 
@@ -157,14 +162,16 @@ def _domains(operator: Operator, F: Array) -> Array:
     """Half-lengths of the points' domains (m), by the rule of each point's field."""
     points, here = operator.form.points, operator.here
     new = points["l"].copy()
+    if points.axisymmetric:
+        F = in_section(points, F)
     for field in (here.fields[k] for k in here.movers):
         if not field.basis.averaged:
             continue
         tags, growth = field.space.tags, field.space.domains
         if tags is None:
-            return update_domains(in_section(points, F), points["l0"], growth)
+            return update_domains(F, points["l0"], growth)
         own = np.isin(points["tag"], tags)
-        new[own] = update_domains(in_section(points, F)[own], points["l0"][own], growth)
+        new[own] = update_domains(F[own], points["l0"][own], growth)
     return new
 
 

@@ -13,9 +13,10 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfinmpm._platform.compat import DIVERGED_NAN
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.location import bounds
-from dolfinmpm.solve.convergencetest import ConvergenceTest
+from dolfinmpm.solve.fieldbalance import others_balanced, references
 from dolfinmpm.solve.initialguess import InitialGuess
 from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.method import Tangent
@@ -23,7 +24,7 @@ from dolfinmpm.solve.operator import Operator, Residual
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.secants import Secants
 
-__all__ = ["Newton", "Outcome", "Solver", "name_of"]
+__all__ = ["ConvergenceTest", "Newton", "Outcome", "Solver", "name_of"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
@@ -50,6 +51,79 @@ class Outcome:
     x: Array = field(default_factory=lambda: np.empty(0))
     iterations: int = 0
     residuals: list[float] = field(default_factory=list)
+
+
+class ConvergenceTest:
+    """Convergence criterion of Newton's method: the relative out-of-balance force.
+
+    Args:
+        tolerance: Bound of the relative out-of-balance force.
+        max_iterations: Iterations allowed.
+
+    Attributes:
+        residuals: Relative out-of-balance forces so far.
+        motion: Norm of the forces that prescribed motions alone would make.
+        predicted: Whether a linear step was taken first, so that a tangent is known.
+        guessed: Whether the iterations start from increments that no linear step made.
+        rounded: Whether the last change of the increments was lost in the rounding of positions.
+    """
+
+    def __init__(self, tolerance: float, max_iterations: int):
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.residuals: list[float] = []
+        self.motion, self.predicted, self.guessed = 0.0, False, False
+        self.rounded = False
+        self._first = 0.0
+
+    @property
+    def stalls(self) -> bool:
+        """Whether the last four iterations have not halved the least forces before them."""
+        return len(self.residuals) > 4 and self.residuals[-1] > 0.5 * min(self.residuals[:-4])
+
+    @property
+    def fulfilled(self) -> bool:
+        """Whether the last forces were in balance, or as close to it as rounding allows."""
+        balanced = bool(self.residuals) and self.residuals[-1] <= self.tolerance
+        return balanced or self.rounded
+
+    def test(
+        self,
+        norm: float,
+        reference: float,
+        iteration: int,
+        by_field: Array | None = None,
+        once_more: bool = False,
+    ) -> int:
+        """Reason of SNES to continue or to end.
+
+        Args:
+            norm: Norm of the out-of-balance force.
+            reference: Norm of external forces and reactions.
+            iteration: Number of the iteration, from 0.
+            by_field: Norm and reference per field, shape (fields, 2), because units differ between
+                fields. None for a single field, or before the references are known.
+            once_more: Whether iterations from a guess go on once more if the forces are in balance
+                only relative to those at zero increments. Supports that are much stiffer than the
+                soil make these much larger than loads and reactions. From zero increments, the last
+                iteration leaves much less than the tolerance, because it converges quadratically.
+                A guess may be so close that it does not.
+        """
+        if not math.isfinite(norm):
+            return DIVERGED_NAN
+        if iteration == 0 and not self.guessed:
+            self._first = norm
+        strict = norm <= self.tolerance * reference
+        # an unloaded body has no loads and reactions to compare with at the end
+        reference = max(reference, self._first, self.motion)
+        relative = norm / reference if reference else 0.0
+        for one, own in by_field if by_field is not None else ():
+            relative = max(relative, one / own if own else 0.0)
+        entered = not self.residuals or self.residuals[-1] > self.tolerance
+        self.residuals.append(float(relative))
+        if relative <= self.tolerance:
+            loose = self.guessed and once_more and entered and not strict
+            return Reason.ITERATING if loose else Reason.CONVERGED_FNORM_RELATIVE
+        return Reason.DIVERGED_MAX_IT if iteration >= self.max_iterations else Reason.ITERATING
 
 
 class Solver(Protocol):
@@ -100,7 +174,7 @@ class Newton:
     ):
         self._comm, self._gdim, self._tangent, self._options = comm, gdim, tangent, options
         self.tolerance, self.max_iterations = tolerance, max_iterations
-        chosen = options.has(_SEARCH_OPTION)
+        chosen = _SEARCH_OPTION in options.names
         self.searches: Sequence[str] = () if chosen else SEARCHES
         self.search = SEARCHES[0]
         self._set: tuple[PETSc.SNES | None, str] = None, ""
@@ -126,7 +200,7 @@ class Newton:
             guess = self.guess.on(operator)
         self._attempt(operator, outcome, guess)
         if guess is not None:
-            self.guess.judge(outcome.reason is None)
+            self.guess.record_use(outcome.reason is None)
         # secants replace the line searches; only the first guess can change
         others = [s for s in self.searches if s != self.search and not contact]
         for search in [self.search, *others] if guess is not None else others:
@@ -138,7 +212,7 @@ class Newton:
         if outcome.reason is None:
             self.guess.keep(operator)
             if guess is None:
-                self.guess.count(outcome.iterations)
+                self.guess.record_iterations(outcome.iterations)
         return outcome
 
     def _in_contact(self, operator: Operator) -> bool:
@@ -149,7 +223,8 @@ class Newton:
         """
         here = operator.here
         displacements = len(here.movers) == len(here.fields)
-        return operator.has_rigid_contact and bool(self.searches) and displacements
+        rigid = any(contact.pushes for contact in operator.contacts)
+        return rigid and bool(self.searches) and displacements
 
     def _attempt(self, operator: Operator, outcome: Outcome, guess: Array | None = None) -> None:
         """One run of SNES, from a guess of the unknowns or from zero. Collective."""
@@ -235,16 +310,16 @@ class Newton:
             nonlocal smallest
             by_field = None
             if now.by_field is not None and (iteration > 0 or balance.predicted):
-                by_field = _references(operator, matrix.petsc, snes.getSolution(), now.by_field)
+                by_field = references(operator, matrix.petsc, snes.getSolution(), now.by_field)
                 smallest = float(by_field[:, 1].min())
             reason = balance.test(norms[2], now.reference, iteration, by_field, not contact)
             if balance.guessed and iteration == 0:
-                if not norms[2] < InitialGuess.share(contact) * balance.motion:
+                if not norms[2] < InitialGuess.allowed_share(contact) * balance.motion:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
             if reason == Reason.ITERATING and resolved and iteration > 0:
-                others = by_field is None or _others_balanced(operator, by_field, self.tolerance)
+                others = by_field is None or others_balanced(operator, by_field, self.tolerance)
                 if others and _moved(operator, snes.getSolutionUpdate()) <= resolved:
                     balance.rounded = True
                     return Reason.CONVERGED_SNORM_RELATIVE
@@ -314,45 +389,6 @@ def _moved(operator: Operator, change: PETSc.Vec) -> float:
     return float(unknowns.comm.allreduce(most, op=MPI.MAX))
 
 
-def _others_balanced(operator: Operator, by_field: Array, tolerance: float) -> bool:
-    """Whether the equations of all fields but displacements are in balance.
-
-    Args:
-        operator: The equations.
-        by_field: Norms of residual and reference, shape (fields, 2).
-        tolerance: Residual over reference that may remain.
-    """
-    rest = np.delete(by_field, operator.here.movers, axis=0)
-    return bool(np.all(rest[:, 0] <= tolerance * rest[:, 1]))
-
-
 def name_of(reason: int) -> str:
     """PETSc's name for the reason why SNES ended."""
     return _REASONS.get(reason, str(reason))
-
-
-def _references(operator: Operator, matrix: PETSc.Mat, x: PETSc.Vec, by_field: Array) -> Array:
-    """Norm and reference of each field's residual, by means of a tangent. Collective.
-
-    The reference is the largest term of the field's equations: external forces and reactions, or
-    the contribution of a field's unknowns. All of these may be close to zero, such as volumes in a
-    body at rest. Then the reference is converted from the first field: the ratio of the
-    contributions of a displacement to both fields' equations converts it.
-
-    Args:
-        operator: The equations.
-        matrix: Their tangent.
-        x: The unknowns.
-        by_field: Norms of residual, and of external forces and reactions, shape (fields, 2).
-
-    Returns:
-        Norms of residual and reference, shape (fields, 2).
-    """
-    own = np.maximum(by_field[:, 1], operator.sizes(matrix, x).max(axis=0))
-    if np.all(by_field[:, 0] <= 1e-9 * own):
-        return np.stack([by_field[:, 0], own], axis=1)
-    probe = x.duplicate()
-    probe.setRandom()
-    stiffness = operator.sizes(matrix, probe)[0]
-    same = own[0] * np.divide(stiffness, stiffness[0], out=np.zeros_like(own), where=stiffness > 0)
-    return np.stack([by_field[:, 0], np.maximum(own, same)], axis=1)

@@ -15,12 +15,12 @@ from petsc4py import PETSc
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.assembly.term import ActiveTerm, Term
+from dolfinmpm.contact.contactpoints import ActiveContact
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.cut.merging import merged
+from dolfinmpm.cut.merging import one_block_per_pair
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.solve.weakform import WeakForm
-from dolfinmpm.terms.gridterm import StepBlocks
 
 __all__ = ["Operator", "Residual"]
 
@@ -60,8 +60,9 @@ class Operator:
 
     Attributes:
         form, here: The arguments.
-        terms: All terms.
         points: The terms of the points.
+        others: All other terms.
+        contacts: The contacts among them.
         loads: External forces of loads (N), shape (nodes, components) per field.
     """
 
@@ -69,9 +70,8 @@ class Operator:
     def __init__(self, form: WeakForm, here: Activation, more: Sequence[ActiveTerm] = ()):
         self.form, self.here = form, here
         self.points, self._active = form.on(here)
-        # the activation holds the constant blocks of its own form only
-        steady = [StepBlocks(here)] if here.terms is form else []
-        self.terms: list[ActiveTerm] = [self.points, *self._active.values(), *steady, *more]
+        self.others: list[ActiveTerm] = [*self._active.values(), *more]
+        self.contacts = [term for term in self.others if isinstance(term, ActiveContact)]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
         self.loads: Sequence[Array] = ()
@@ -80,6 +80,11 @@ class Operator:
         # entries of the constant blocks: those of the matrix, and those of prescribed columns
         self._base: tuple[Array, list[Array]] | None = None
         self.update_external()
+
+    @property
+    def terms(self) -> list[ActiveTerm]:
+        """All terms, the points first."""
+        return [self.points, *self.others]
 
     def active(self, term: Term) -> Any:
         """A term of the form on the activation.
@@ -140,8 +145,7 @@ class Operator:
 
         Increments are zero. Fields that the form carries have their values at the points.
         """
-        self.here.unknowns.clear(self._u)
-        self._interpolate()
+        self.move_to_zero()
         for value, name in zip(self.points.value, self.form.values):
             if name is not None:
                 value[...] = self.form.points[name].reshape(value.shape)
@@ -190,8 +194,8 @@ class Operator:
         """
         unknowns, work = self.here.unknowns, 0.0
         for field, force, u in zip(unknowns.fields, forces, self.increments):
-            held = field.places[1]
-            work += float(force.reshape(-1)[held] @ u.reshape(-1)[held])
+            fixed = field.places[1]
+            work += float(force.reshape(-1)[fixed] @ u.reshape(-1)[fixed])
         return unknowns.comm.allreduce(work)
 
     @stages.evaluate
@@ -216,8 +220,8 @@ class Operator:
         here, out = self.here, self._force
         here.unknowns.clear(out)
         every = [term for term in self.terms if term.kind not in without]
-        for term in every:
-            term.touch(self._u.arrays, self._scale)
+        if "contact" not in without:
+            self.update_contact()
         for term in every:
             if not term.internal(out.arrays):
                 self._set_nan(out)
@@ -234,13 +238,8 @@ class Operator:
 
     def update_contact(self) -> None:
         """Find the forces of contact at the present increments."""
-        for term in self.terms:
-            term.touch(self._u.arrays, self._scale)
-
-    @property
-    def has_rigid_contact(self) -> bool:
-        """Whether a term is contact with a rigid body."""
-        return any(term.pushes for term in self.terms)
+        for contact in self.contacts:
+            contact.touch(self._u.arrays, self._scale)
 
     def has(self, kind: str) -> bool:
         """Whether a term has this kind, see `ActiveTerm`."""
@@ -344,13 +343,21 @@ class Operator:
 
     @functools.cached_property
     def _constant(self) -> list[Blocks]:
-        """Blocks of constant stiffness, merged to one block per pair of fields."""
-        return merged([b for term in self.terms for b in term.stiffness])
+        """Blocks of constant stiffness, one per pair of fields."""
+        of_form = len(self._active)
+        blocks = [b for term in self.others[:of_form] for b in term.stiffness]
+        blocks += self._blocks_of("stiffness") + self._blocks_of("penalty")
+        blocks += [b for term in self.others[of_form:] for b in term.stiffness]
+        return blocks if len(blocks) < 2 else one_block_per_pair(blocks)
 
-    @functools.cached_property
+    @property
     def soft(self) -> list[Blocks]:
         """Blocks of soft stiffness: they are in the matrix, and not in the forces."""
-        return [b for term in self.terms for b in term.soft]
+        return self._blocks_of("soft")
+
+    def _blocks_of(self, kind: str) -> list[Blocks]:
+        """Blocks of a kind of the activation, which holds those of its own form only."""
+        return self.here.blocks_of(kind) if self.here.terms is self.form else []
 
     @stages.assemble
     def tangent(self, matrix: Matrix) -> None:

@@ -44,31 +44,31 @@ class Options:
 
     Attributes:
         prefix: The prefix of this problem.
+        names: Names of the options that the user has set, in small letters.
+        unread: Options of this problem that may not have been read by a solver.
     """
 
     def __init__(self, owner: Any, common: str, given: Mapping[str, Any]):
         self.prefix = f"{common}{next(_numbers)}_"
         database = PETSc.Options()
-        merged = dict(given)
+        values = dict(given)
         for name, value in database.getAll().items():
             of_other = any(name.startswith(prefix) for prefix in _of_problems)
             if name.startswith(common) and not of_other:
-                merged[name.removeprefix(common)] = value
-        merged |= _from_command_line(common)
-        for name, value in merged.items():
+                values[name.removeprefix(common)] = value
+        values |= _from_command_line(common)
+        for name, value in values.items():
             database[self.prefix + name] = value
+        self.names = frozenset(name.lower() for name in values)
         self._suggested: set[str] = set()
-        self._unread = dict(given)
+        self.unread = dict(given)
         _of_problems.add(self.prefix)
         weakref.finalize(owner, _remove, self.prefix)
 
-    def has(self, name: str) -> bool:
-        """Whether the user has set an option."""
-        return name not in self._suggested and PETSc.Options().hasName(self.prefix + name)
-
     def get(self, name: str) -> str | None:
         """The user's value of an option, or None."""
-        return PETSc.Options().getString(self.prefix + name, "") or None if self.has(name) else None
+        known = name in self.names
+        return PETSc.Options().getString(self.prefix + name, "") or None if known else None
 
     def warn_of_unread(self, comm: MPI.Comm) -> None:
         """Warn once of options of the problem that no solver has read after a solution.
@@ -76,7 +76,7 @@ class Options:
         Args:
             comm: Communicator of the problem.
         """
-        given, self._unread = self._unread, {}
+        given, self.unread = self.unread, {}
         for name, value in given.items():
             if option_was_read(self.prefix + name):
                 continue
@@ -91,8 +91,7 @@ class Options:
 
     def mentions(self, start: str) -> bool:
         """Whether the user has set an option with a name that begins with `start`."""
-        names = (name.removeprefix(self.prefix) for name in PETSc.Options().getAll())
-        return any(name.startswith(start) and self.has(name) for name in names)
+        return any(name.startswith(start) for name in self.names)
 
     def suggest(self, values: Mapping[str, Any]) -> None:
         """Set default options, unless the user has set them. They replace earlier defaults."""
@@ -100,7 +99,7 @@ class Options:
         for name in self._suggested:
             database.delValue(self.prefix + name)
         self._suggested = set()
-        chosen = {name for name in values if not self.has(name)}
+        chosen = {name for name in values if name not in self.names}
         for name in chosen:
             database[self.prefix + name] = values[name]
         self._suggested = chosen

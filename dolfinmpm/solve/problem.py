@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -22,34 +23,35 @@ from dolfinmpm.assembly.state import HasState, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis.conditionchecks import warn_idle
 from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.body.location import use_configuration
 from dolfinmpm.body.meshpartition import warn_of_imbalance
-from dolfinmpm.body.migration import settle
 from dolfinmpm.body.overlapchecks import check_room
+from dolfinmpm.body.pointchecks import check_grid
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.cut.activate import activate
 from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with_constraints
 from dolfinmpm.cut.activecells import active_on_grid
-from dolfinmpm.cut.couplings import KeptCouplings
 from dolfinmpm.cut.essentialconditions import EssentialConditions
+from dolfinmpm.cut.pattern import KeptCouplings
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_laws, check_levels
 from dolfinmpm.forms.hoop import check_hoops
-from dolfinmpm.grid.graded import times_regridded
+from dolfinmpm.grid.lattice import times_regridded
+from dolfinmpm.solve import setup
 from dolfinmpm.solve.adaptation import Adaptation, adapt
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
+    check_bcs_and_loads,
     check_callable,
     check_conditions,
-    check_grid,
     check_spaces,
     check_updates,
     increments_of,
     stabilisations_of,
 )
 from dolfinmpm.solve.description import summary
-from dolfinmpm.solve.heldfaces import refuse_held_faces
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import (
@@ -62,7 +64,6 @@ from dolfinmpm.solve.problemchecks import (
 )
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
-from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
 from dolfinmpm.solve.weakform import WeakForm
 from dolfinmpm.terms.referencemarkers import require_reference
@@ -112,7 +113,7 @@ class Problem(ReadOnce):
         bcs: Sequence[Condition] = (),
         *,
         updates: dict[str, Expr] | None = None,
-        stabilisation: Stabilisations = "none",
+        stabilisation: setup.Stabilisations = "none",
         prolongation: Prolongate | None = None,
         scheme: Scheme,
     ):
@@ -132,16 +133,16 @@ class Problem(ReadOnce):
         check_callable("prolongation", prolongation)
         self.points = points
         self.history: list[StepRecord] = []
-        stabilisations = with_moduli(stabilisations, spaces, form, points)
+        stabilisations = setup.with_moduli(stabilisations, spaces, form, points)
         self.fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
         if scheme.ties_movers:
             for k in movers(spaces):
                 self.fields[k] = with_constraints(self.fields[k])
-        whole, soft, changes = with_stabilisations(form, self.fields, points)
+        whole, soft, changes = setup.with_stabilisations(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
         check_field_tags(self.fields, self.form)
-        refuse_held_faces(form, self.form)
+        setup.refuse_held_faces(form, self.form)
         check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
         rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
         self.bodies = RigidBodies(rigid)
@@ -149,25 +150,15 @@ class Problem(ReadOnce):
         check_kinds_of_conditions(bcs, spaces, self.form.parts.carried)
         if not scheme.inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
-        self._settle_markers()
+        self._locate_markers()
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None
-        self.held = EssentialConditions(bcs, spaces)
-        if self.held.follows and self.configuration == "total":
-            raise ParameterError(
-                'conditions with follows=True need Space(..., configuration="updated"), got '
-                '"total": what is active at first positions stays'
-            )
-        self.form.updates = updates_of(self.form, updates)
+        self.essential_conditions = EssentialConditions(bcs, spaces)
+        self.form.updates = setup.updates_of(self.form, updates)
         loads = loads_of(self.form.loads)
-        for condition in self.bcs:
-            if any(condition.value is load for load in loads):
-                raise ParameterError(
-                    f"a constant is both a load of the form and the increment prescribed at "
-                    f"'{condition.where}'; a substep would scale it twice: use two constants"
-                )
+        check_bcs_and_loads(bcs, loads, self.configuration)
         self.loads = Loads(loads, increments)
-        settle(points, self.configuration)
+        use_configuration(points, self.configuration)
         warn_of_imbalance(points)
 
     def __new__(cls, *_: Any, **given: Any) -> Problem:  # noqa: D102
@@ -198,13 +189,13 @@ class Problem(ReadOnce):
             "from their state; what steps are to change are values of dolfinx.fem.Constant"
         )
 
-    def _settle_markers(self) -> None:
+    def _locate_markers(self) -> None:
         """Assign markers to the cells of their positions in the problem. Collective."""
         if self.configuration == "total":
             require_reference(self.form.boundaries, [t for t in self.form.terms if t.sides])
             return
         for of in self.form.boundaries:
-            settle(of.boundary.markers, self.configuration)
+            use_configuration(of.boundary.markers, self.configuration)
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -214,7 +205,7 @@ class Problem(ReadOnce):
     @property
     def bcs(self) -> Sequence[Condition]:
         """The essential conditions; read-only."""
-        return ReadList(self.held.conditions)
+        return ReadList(self.essential_conditions.conditions)
 
     @property
     def stabilisation(self) -> Stabilisation | list[Stabilisation]:
@@ -226,6 +217,11 @@ class Problem(ReadOnce):
     def configuration(self) -> str:
         """Configuration of stencils and gradients: "updated" or "total"."""
         return self.fields[0].space.configuration
+
+    @property
+    def blocks_from(self) -> float:
+        """Number of unknowns from which they are stored in blocks, see `Unknowns`."""
+        return math.inf
 
     @property
     def moves(self) -> bool:
@@ -291,7 +287,7 @@ class Problem(ReadOnce):
         once = {id(refinement): refinement for refinement in refinements}
         return [
             ("loads", self.loads),
-            ("prescribed", self.held),
+            ("prescribed", self.essential_conditions),
             *self.form.named_terms(),
             ("bodies", self.bodies),
             ("scheme", self.scheme),
@@ -327,25 +323,29 @@ class Problem(ReadOnce):
         if step is not None and self.here is None and not self.scheme.in_time:
             refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
-        check_field_tags(self.fields, self.form)
-        self.form.place()
-        self.held.follow()
+        if any(field.space.tags is not None for field in self.fields):
+            check_field_tags(self.fields, self.form)
+        for boundary in self.form.boundaries:
+            boundary.place()
+        if self.essential_conditions.follows:
+            self.essential_conditions.follow()
         first, kept, self.kept = self.here is None, self.kept, None
         self.here = activate(
-            self.points, self.fields, self.held, self.form, share, self.here, kept,
-            self._in_blocks if step is not None else None,
+            self.points, self.fields, self.essential_conditions, self.form, share, self.here, kept,
+            self.blocks_from if step is not None else math.inf,
         )  # fmt: skip
+        if self.form.boundaries:
+            self._set_penalties(self.here)
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
-        self._set_penalties(self.here)
-        # a body that moves in time may reach a side later
-        if first and kept is None and not self.scheme.in_time:
-            active = [active_on_grid(field) for field in self.here.fields]
-            warn_idle(self.bcs, self.form.spaces, active)
+            # a body that moves in time may reach a side later
+            if not self.scheme.in_time:
+                active = [active_on_grid(field) for field in self.here.fields]
+                warn_idle(self.bcs, self.form.spaces, active)
         return self.here
 
     def _set_penalties(self, here: Activation) -> None:
-        """Set the penalties of weak conditions. Collective."""
+        """Set the penalties of weak conditions at boundaries. Collective."""
         self.form.set_penalties(here)
 
     @collective
@@ -364,7 +364,8 @@ class Problem(ReadOnce):
         Raises:
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
         """
-        self.bodies.take()
+        if self.bodies.all:
+            self.bodies.take()
         if times_regridded(self.points.grid) != self.form.placed:
             raise ParameterError(
                 "mpm.regrid has placed the grid's lines anew for another problem, and this one has "
@@ -378,10 +379,6 @@ class Problem(ReadOnce):
         self.form.regrid()
         self.scheme.regrid()
         self.here = self.kept = None
-
-    def _in_blocks(self, count: int) -> bool:
-        """Whether a number of unknowns is stored in blocks, see `Unknowns`."""
-        return False
 
     @collective
     def operator(self) -> Operator:

@@ -122,18 +122,17 @@ def refuse_rates(form: ufl.Form, points: MaterialPoints, problem: str) -> None:
 
 
 def refuse_time(t: Any, problem: str) -> None:
-    """Raise ParameterError if a step of a problem without time is given a time.
+    """Raise ParameterError because a step of a problem without time is given a time.
 
     Args:
         t: Argument of the step.
         problem: Name of the problem.
     """
-    if t is not None:
-        raise ParameterError(
-            f"step({shown(t)}): {problem} knows no time, and a step goes to the load that the "
-            "form's constants hold: set their values and call step(); steps in time are those of "
-            "mpm.Transient, mpm.Newmark and mpm.Explicit"
-        )
+    raise ParameterError(
+        f"step({shown(t)}): {problem} knows no time, and a step goes to the load that the "
+        "form's constants hold: set their values and call step(); steps in time are those of "
+        "mpm.Transient, mpm.Newmark and mpm.Explicit"
+    )
 
 
 # -- fields of the points of tags ---------------------------------------------

@@ -10,23 +10,30 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
+from dolfinmpm._platform.garbagecollector import free_petsc
 from dolfinmpm.assembly.state import HasState
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.loadbalance import balance, imbalance
+from dolfinmpm.body.pointchecks import overwritten
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.resultfields import overwritten
 from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
-from dolfinmpm.solve.easing import FIRST, begins_unbalanced, ease
-from dolfinmpm.solve.failures import failed_step, why_step_failed
+from dolfinmpm.solve.description import size_and_solver
+from dolfinmpm.solve.failures import (
+    FIRST,
+    begins_unbalanced,
+    ease,
+    failed_step,
+    why_step_failed,
+)
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.method import Tangent, symmetric
@@ -35,9 +42,9 @@ from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.restart import SolverState
 from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.setup import Stabilisations
-from dolfinmpm.solve.solverstate import SolverState
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 from dolfinmpm.terms.gridterm import fill_functions
 
@@ -56,8 +63,8 @@ class QuasiStatic(Problem):
 
     An attempt that does not converge changes nothing, and its substep is halved. If the smallest
     substep fails too, substeps may release by shares what is out of balance, see
-    `dolfinmpm.solve.easing`. After a substep that converges the next one is twice as long, at most
-    a whole step. The next step begins with this length.
+    `dolfinmpm.solve.failures`. After a substep that converges the next one is twice as long, at
+    most a whole step. The next step begins with this length.
 
     The DOLFINx constants and functions in the form carry the load. In substeps they go from their
     values at the last converged step to the values set by the user. Prescribed increments are
@@ -210,8 +217,10 @@ class QuasiStatic(Problem):
         check_limits(self.tolerance, self.max_iterations, value)
         self._max_halvings = value
 
-    def _in_blocks(self, count: int) -> bool:
-        return self.newton.linear.in_blocks(count)
+    @property
+    def blocks_from(self) -> float:
+        """See `Problem`."""
+        return self.newton.linear.choice.blocks_from
 
     @collective(compared=of_step)
     def step(self, t: float | None = None) -> Any:
@@ -235,7 +244,9 @@ class QuasiStatic(Problem):
         step that failed has no record in `history`.
         """
         started, watch = time.perf_counter(), stages.Watch()
-        check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
+        check_loads(
+            self.loads.items, self.form.given, self.essential_conditions.conditions, self.comm
+        )
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()
@@ -271,7 +282,8 @@ class QuasiStatic(Problem):
             self.loads.accept(whole)
             self.scheme.end(record if whole else None)
         self.share = share
-        record.bodies |= self.bodies.record()
+        if self.bodies.all:
+            record.bodies |= self.bodies.record()
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
@@ -279,8 +291,9 @@ class QuasiStatic(Problem):
     def _follow_leaves(self) -> None:
         """Let the points follow the leaves, and record it. Collective."""
         raise_together(self.comm, overwritten(self.points))
-        adapted = adapt(self)
-        self._record.split, self._record.merged = adapted.split, adapted.merged
+        if self.form.adaptive:
+            adapted = adapt(self)
+            self._record.split, self._record.merged = adapted.split, adapted.merged
 
     def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
         """Take a step or a substep; return None, or the reason of a failure. Collective.
@@ -296,19 +309,20 @@ class QuasiStatic(Problem):
         if failed is not None:
             return failed
         operator = self.scheme.system(self, step)
-        ease(operator, release)
+        if release < 1.0:
+            ease(operator, release)
         self._record.unknowns = operator.here.unknowns.total
         self.newton.guess.length = step.dt
-        for term in operator.terms:
-            term.clings = True
+        for contact in operator.contacts:
+            contact.clings = True
         # multipliers of contact bound the penetration: they change between solutions
         for _ in range(_MOST_AUGMENTATIONS):
             with stages.solve:
                 outcome = self.solver.solve(operator)
-            self._count(outcome)
+            self._record_solution(outcome)
             if outcome.reason is not None:
                 break
-            augmented = [term.augment() for term in operator.terms]
+            augmented = [contact.augment() for contact in operator.contacts]
             if not any(augmented):
                 break
         else:
@@ -327,13 +341,16 @@ class QuasiStatic(Problem):
     def _prepare(self, step: Step) -> Failed | None:
         """Check that a step may begin, and distribute the points over the ranks. Collective."""
         self._check_still_valid()
-        raise_together(self.comm, self.points.fault())
-        petscgarbage.free(self.comm)
-        self._record.migrated += balance(self.points)
+        raise_together(self.comm, self.points.error_in_fields())
+        if self.comm.size > 1:
+            free_petsc(self.comm)
+            self._record.migrated += balance(self.points)
+        if not self.bodies.all:
+            return None
         fault = self.bodies.too_fast(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")
 
-    def _count(self, outcome: Outcome) -> None:
+    def _record_solution(self, outcome: Outcome) -> None:
         """Add the iterations of a solution to the record."""
         record, linear = self._record, self.newton.linear
         record.iterations += outcome.iterations
@@ -346,12 +363,14 @@ class QuasiStatic(Problem):
     def _commit(self, operator: Operator, state: NewState) -> None:
         """Write the new state of bodies, points and markers. Collective."""
         points, record = self.points, self._record
-        self.scheme.count(self.bodies.commit(self.bodies.acting(operator)))
+        if self.bodies.all:
+            self.scheme.add_body_work(self.bodies.commit(self.bodies.acting(operator)))
         record.bodies = {}
-        for term in operator.terms:
-            record.bodies |= term.record()
+        for contact in operator.contacts:
+            record.bodies |= contact.record()
         record.migrated += commit(points, state)
-        record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
+        if self.comm.size > 1:
+            record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
         with stages.commit:
             fill_functions(operator.here.fields, operator.increments)
 
@@ -368,15 +387,7 @@ class QuasiStatic(Problem):
     @collective
     def info(self) -> str:
         """Lines to print: points, unknowns and the linear solver at present. Collective."""
-        points, here, comm = self.points, self.here, self.comm
-        counts = comm.allgather((len(points), 0 if here is None else here.unknowns.owned))
-        lines = [_spread("points", [count[0] for count in counts])]
-        if here is not None:
-            lines.append(_spread("unknowns", [count[1] for count in counts], here.unknowns.total))
-            lines.append(f"active cells: {here.active_cells}, ghost facets: {here.ghost_facets}")
-        method = self.newton.linear.used
-        lines.append(f"linear solver: {method or 'chosen in the first step'}")
-        return "\n".join(lines)
+        return size_and_solver(self)
 
     def keeping(self) -> list[tuple[str, HasState]]:
         """See `Problem`."""
@@ -387,13 +398,3 @@ class QuasiStatic(Problem):
         """The last relative out-of-balance force, for messages."""
         residuals = self._record.residuals
         return f"{residuals[-1]:.3g}" if residuals else "none"
-
-
-def _spread(what: str, counts: list[int], total: int | None = None) -> str:
-    """Sum of a number over all ranks, and its range over the ranks."""
-    text = f"{what}: {sum(counts) if total is None else total}"
-    if len(counts) == 1:
-        return text
-    mean = sum(counts) / len(counts)
-    most = f", {max(counts) / mean:.2f} times the mean" if mean else ""
-    return f"{text}, {min(counts)} to {max(counts)} per rank{most}"

@@ -80,7 +80,8 @@ class Static(Scheme):
         Raises:
             ParameterError: A time is given.
         """
-        refuse_time(t, type(problem).__name__)
+        if t is not None:
+            refuse_time(t, type(problem).__name__)
 
     def substep(self, done: float, share: float) -> Step:
         """The next substep.
@@ -93,7 +94,8 @@ class Static(Scheme):
 
     def system(self, problem: Any, step: Step) -> Operator:
         """The equations of a step. Collective."""
-        problem.bodies.begin(step.dt)
+        if problem.bodies.all:
+            problem.bodies.begin(step.dt)
         return Operator(problem.form, problem.activate(step))
 
     def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:
@@ -107,7 +109,7 @@ class Static(Scheme):
         """
         return new_state(problem, operator)
 
-    def count(self, work: float) -> None:
+    def add_body_work(self, work: float) -> None:
         """Add the work done by rigid bodies in a step (J)."""
 
     def fail(self) -> None:

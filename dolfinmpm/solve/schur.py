@@ -37,7 +37,7 @@ def split(pc: PETSc.PC, here: Activation, A: PETSc.Mat) -> None:
 
 def prepare(pc: PETSc.PC, A: PETSc.Mat, options: Options) -> None:
     """Set the Schur complement of a new preconditioner, unless options do. Collective."""
-    if options.has("pc_fieldsplit_schur_precondition"):
+    if "pc_fieldsplit_schur_precondition" in options.names:
         return
     S = schur_matrix(A, A.query("rows of u"), A.query("rows of p"))
     pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, S)

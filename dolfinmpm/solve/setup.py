@@ -1,4 +1,4 @@
-"""Preparation of a problem's form: stabilisations with moduli, and updates of fields."""
+"""Preparation of a problem's form: stabilisations with moduli, updates of fields, and a check."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.footing import seats
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field, movers
 from dolfinmpm.cut.stabilisations import Stabilisation
@@ -19,10 +20,17 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
 from dolfinmpm.forms.hoop import check_hoop
 from dolfinmpm.forms.termqueries import penalty_of
+from dolfinmpm.kinematics.fbar import VOLUMES
 from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Stabilisations", "updates_of", "with_moduli", "with_stabilisations"]
+__all__ = [
+    "Stabilisations",
+    "refuse_held_faces",
+    "updates_of",
+    "with_moduli",
+    "with_stabilisations",
+]
 
 Stabilisations = Stabilisation | str | Sequence[Stabilisation | str]
 
@@ -94,14 +102,14 @@ def with_stabilisations(
         trial, stabilisation = (field.space.increment, field.space.test), field.stabilisation
         known = penalty_of(form, trial[0]) if stabilisation.E is None else None
         if (
-            field.beside is not None
+            field.second is not None
             and stabilisation.kind == "ghost"
             and stabilisation.factor is None
         ):
             # constraints have the effect of the larger factors for splines already
             stabilisation = replace(stabilisation, factor=1.0)
         extra = stabilisation.force_terms(points, *trial, known)
-        if field.beside is not None:
+        if field.second is not None:
             changes, extra = _sum(changes, extra), None
         form = form if extra is None else form + extra
         soft = _sum(soft, stabilisation.tangent_terms(points, *trial))
@@ -153,5 +161,27 @@ def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[UFLStress]:
     if any(form.spaces[k].increment.ufl_shape != shape for k in moving):
         return []
     made = [UFLStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
-    form.own = [one for one in made if one.known]
-    return form.own
+    form.ufl_stresses = [one for one in made if one.known]
+    return form.ufl_stresses
+
+
+def refuse_held_faces(given: ufl.Form, form: WeakForm) -> None:
+    """Raise if a form with fbar="volumes" holds faces of the body at a place.
+
+    Args:
+        given: Weak form of the user.
+        form: The same, prepared.
+
+    Raises:
+        ParameterError: Mean volumes scale F after a step, which moves the faces F R without a
+            motion. A stiff footing makes large forces of that.
+    """
+    kept = next((d for d in form.parts.declarations if d.fbar == VOLUMES), None)
+    holders = [f"the footing with the field {name}" for name in seats(given)]
+    holders += [str(term) for term in form.terms if term.holds_faces]
+    if kept is not None and holders:
+        raise ParameterError(
+            f'fbar = "{VOLUMES}" of {kept.law!r} and {holders[0]}: mean volumes change F after a '
+            "step, which shifts the faces of points, and what holds these faces would resist. "
+            "Take fbar=True, or a RigidBody with mpm.contact"
+        )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
-from dolfinmpm.solve.method import Method, Tangent, choose
+from dolfinmpm.solve.method import Method, Tangent, choose, crossover
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.preconditionerreuse import PreconditionerReuse
 from dolfinmpm.solve.substructures import why_not
@@ -103,13 +103,18 @@ class MethodChoice:
         no_iterations: Time for which only factors solve, after iterations have failed.
         no_substructures: Reason against one substructure per rank, or an empty string.
         no_incomplete: Whether incomplete factors are left out.
+        blocks_from: Number of unknowns from which the method needs those of a node in a block.
     """
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._gdim, self._ranks, self._options = gdim, comm.size, options
-        if options.get("pc_type") not in (None, "mg"):
+        pc = options.get("pc_type")
+        if pc not in (None, "mg"):
             # another multigrid by options has its own levels
             tangent = replace(tangent, degree=0)
+        self.blocks_from: float = 0 if pc in ("gamg", "hypre", "mg", "ml") else math.inf
+        if pc is None:
+            self.blocks_from = crossover(tangent, gdim)
         self.tangent, self.doubt, self.no_incomplete = tangent, Doubt(), False
         self.no_iterations = Doubt()
         self.no_substructures = why_not(comm)
@@ -130,7 +135,7 @@ class MethodChoice:
     def method(self, count: int) -> Method:
         """The method for a number of unknowns."""
         # the user's choice is not changed
-        free = not any(self._options.has(name) for name in _OF_METHOD)
+        free = self._options.names.isdisjoint(_OF_METHOD)
         incomplete = free and self._incomplete.incomplete and not self.no_incomplete
         found = choose(
             replace(self.tangent, definite=self.definite), count, self._gdim, self._ranks,

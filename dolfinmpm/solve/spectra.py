@@ -357,7 +357,7 @@ def rigid_modes(here: Activation) -> Array:
     unknowns, basis = here.unknowns, here.fields[0].basis
     field, d = unknowns.fields[0], basis.grid.geometry.dim
     nodes = field.owned_nodes
-    held = bool(np.any(field.fixed[nodes])) or field.components != d or len(unknowns.fields) > 1
-    if unknowns.comm.allreduce(held, op=MPI.LOR):
+    other = bool(np.any(field.fixed[nodes])) or field.components != d or len(unknowns.fields) > 1
+    if unknowns.comm.allreduce(other, op=MPI.LOR):
         return np.empty((unknowns.owned, 0))
     return np.stack(_rigid(unknowns, basis.node_coordinates()[nodes, :d]), axis=1)

@@ -18,16 +18,16 @@ from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.meanforces import MeanForceWeights
-from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling
+from dolfinmpm.cut.activate import active_region
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling, movers
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.cut.regions import active_region
 from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import SplitForm, split
-from dolfinmpm.grid.graded import times_regridded
+from dolfinmpm.grid.lattice import times_regridded
 from dolfinmpm.terms.boundaryterm import BoundaryTerm
 from dolfinmpm.terms.gridterm import GridTerm
 
@@ -60,8 +60,8 @@ class WeakForm:
         softened: Whether there is soft stiffness.
         moduli: Moduli of the laws' tangents at facets, in terms of the form.
         also: Subdomain ids that other forms need on the same activations.
-        means: Weights of contact forces in the mean over a step in time, or None.
-        own: Stresses of points without a law, from terms in UFL.
+        contact_weights: Weights of mean contact forces over a step in time, or None.
+        ufl_stresses: Stresses of points without a law, from terms in UFL.
         updates: Fields of the points that a step sets to UFL expressions.
         placed: Number of changes of the grid's lines at the last check.
 
@@ -92,8 +92,8 @@ class WeakForm:
         self.terms: list[Term] = [*self.boundaries, *self.parts.terms, *grids]
         self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.means: MeanForceWeights | None = None
-        self.own: list[UFLStress] = []
+        self.contact_weights: MeanForceWeights | None = None
+        self.ufl_stresses: list[UFLStress] = []
         self.updates: Sequence[PointUpdates | UFLStress] = ()
         # none before the first step
         self._revision = -1
@@ -108,16 +108,16 @@ class WeakForm:
         """Add a term outside the UFL form, such as the mass."""
         self.terms.append(term)
 
-    def start_in_time(self, means: MeanForceWeights | None) -> None:
+    def start_in_time(self, weights: MeanForceWeights | None) -> None:
         """Prepare for steps in time.
 
         Args:
-            means: Weights of contact forces in the mean over a step; None if contact acts at the
+            weights: Weights of mean contact forces over a step; None if contact acts at the
                 start of a step.
         """
-        self.means = means
+        self.contact_weights = weights
         for term in self.terms:
-            term.start_in_time(means)
+            term.start_in_time(weights)
 
     def on(self, here: Activation) -> tuple[Evaluation, dict[Term, ActiveTerm]]:
         """The points' integrals, and the other terms, on an activation. Collective.
@@ -183,11 +183,6 @@ class WeakForm:
             out[declaration.rows] = declaration.elastic.moduli()
         return out
 
-    def place(self) -> None:
-        """Prepare the terms for an activation. Collective."""
-        for term in self.terms:
-            term.place()
-
     def set_penalties(self, here: Activation, ghost: bool = True) -> None:
         """Set the penalties of weak conditions on an activation. Collective.
 
@@ -242,7 +237,13 @@ class WeakForm:
     @property
     def storing(self) -> list[Declaration | UFLStress]:
         """Laws, and terms in UFL of points without a law, which store energy."""
-        return [*self.parts.declarations, *self.own]
+        return [*self.parts.declarations, *self.ufl_stresses]
+
+    @property
+    def adaptive(self) -> list[Space]:
+        """Refined spaces whose leaves the points follow."""
+        found = (self.spaces[k] for k in movers(self.spaces))
+        return [s for s in found if s.refinement is not None and s.per_cell is not None]
 
     @property
     def regions(self) -> list[PointTerms]:
@@ -279,7 +280,7 @@ class WeakForm:
 
     def couple(self, here: ActiveDomain) -> list[Coupling]:
         """Couplings of nodes by its terms, besides the couplings by the points. Collective."""
-        return [one for term in self.terms for one in term.couple(here)]
+        return [one for term in self.parts.terms for one in term.couple(here)]
 
     def regrid(self) -> None:
         """Discard data that depend on the old grid lines."""

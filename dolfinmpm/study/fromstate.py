@@ -164,18 +164,18 @@ class FromState:
     def _at_rest(self) -> Iterator[None]:
         """Set prescribed increments to zero in this context, but keep pressures. Collective."""
         problem = self._problem
-        prescribed = problem.held
+        prescribed = problem.essential_conditions
         still = [
             condition
             if condition.kind == "value"
             else replace(condition, value=0.0, velocity=None, function=None)
             for condition in prescribed.conditions
         ]
-        problem.held = EssentialConditions(still, problem.form.spaces)
+        problem.essential_conditions = EssentialConditions(still, problem.form.spaces)
         try:
             yield
         finally:
-            problem.held = prescribed
+            problem.essential_conditions = prescribed
 
     def _elastic_displacement(self) -> float:
         """Largest displacement of the elastic body under the loads (m). Collective.

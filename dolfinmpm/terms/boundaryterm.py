@@ -24,7 +24,7 @@ from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField
-from dolfinmpm.cut.regions import active_boundary_regions
+from dolfinmpm.cut.activeboundaries import active_boundary_regions
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import largest_cell, lattice_of
@@ -58,7 +58,7 @@ class BoundaryTerm(Term):
             of.regions, spaces, of.boundary.markers,
         )  # fmt: skip
         self._in_time = False
-        self._means: Any = None
+        self._weights: Any = None
 
     @property
     def markers(self) -> MaterialPoints:
@@ -74,22 +74,19 @@ class BoundaryTerm(Term):
         for declaration in self.declarations:
             declaration.bind()
 
-    def start_in_time(self, means: Any) -> None:
+    def start_in_time(self, weights: Any) -> None:
         """See `Term`."""
-        self._in_time, self._means = True, means
+        self._in_time, self._weights = True, weights
         self._set_walls()
 
     def _set_walls(self) -> None:
         """Let walls act as in the steps of this problem; other problems may share them."""
         for condition in self.conditions:
             if condition.pushes:
-                condition.act(self._in_time, self._means)
+                condition.act(self._in_time, self._weights)
 
     def place(self) -> None:
-        """Bring markers to the ranks of their cells, with the state of the nearest points.
-
-        Collective.
-        """
+        """Bring markers to the ranks of their cells, with nearby points' state. Collective."""
         markers, points = self.markers, self.boundary.points
         if markers.partition is not points.partition:
             markers.partition = points.partition
@@ -245,7 +242,7 @@ class ActiveBoundaryTerm(Evaluation):
             if markers.configuration != "total":
                 to = destinations(markers.grid, fields["x"], markers["cell"], markers.partition)
                 raise_together(markers.comm, _outside(boundary, fields["x"], to, step))
-        new.beside.append((markers, fields, to))
+        new.markers.append((markers, fields, to))
 
 
 def _sizes(boundary: Boundary, field: ActiveField) -> Array:

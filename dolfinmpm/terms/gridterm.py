@@ -1,4 +1,4 @@
-"""Terms over cells and facets of the grid, and blocks that are constant during a step."""
+"""Terms over cells and facets of the grid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.facetmoduli import FacetModulus, update
 from dolfinmpm.cut.pattern import Blocks
 
-__all__ = ["ActiveGridTerm", "GridTerm", "StepBlocks", "fill_functions"]
+__all__ = ["ActiveGridTerm", "GridTerm", "fill_functions"]
 
 Array = npt.NDArray[np.float64]
 
@@ -56,15 +56,15 @@ class GridTerm(Term):
         for modulus in self.moduli:
             (field,) = (f for f in fields if f.space.increment is modulus.increment)
             update(modulus, field)
-        if not self.assembler.terms:
+        if self.assembler.empty:
             return {}
         self.assembler.attach(fields)
         linear = self._kind != "stiffness" or self.assembler.terms.linear
         return {self._kind if linear else "pattern": self.assembler.tangent(fields)}
 
     def on(self, here: Activation) -> ActiveGridTerm | None:
-        """See `Term`. Collective."""
-        if self._kind != "stiffness" or not self.assembler.terms:
+        """See `Term`: None where constant blocks are all that it has. Collective."""
+        if self._kind != "stiffness" or not self.assembler.has_vectors:
             return None
         return ActiveGridTerm(self.assembler, here)
 
@@ -74,7 +74,7 @@ class GridTerm(Term):
 
     def summary(self) -> str:
         """See `Term`."""
-        counts = self._kind == "stiffness" and self.assembler.terms
+        counts = self._kind == "stiffness" and not self.assembler.empty
         return "integrals over the grid" if counts else ""
 
     def state(self) -> dict[str, Any]:
@@ -121,25 +121,6 @@ class ActiveGridTerm(ActiveTerm):
             fill_functions(self._here.fields, self._u)
             for b in self._assembler.tangent(self._here.fields):
                 add_blocks(b, entries[b.row_field, b.column_field])
-
-
-class StepBlocks(ActiveTerm):
-    """Blocks that are constant during a step: linear terms over the grid, and penalties."""
-
-    kind = "penalty"
-
-    def __init__(self, here: Activation):
-        self._here = here
-
-    @property
-    def stiffness(self) -> Sequence[Blocks]:
-        """See `ActiveTerm`."""
-        return [*self._here.blocks_of("stiffness"), *self._here.blocks_of("penalty")]
-
-    @property
-    def soft(self) -> Sequence[Blocks]:
-        """See `ActiveTerm`."""
-        return self._here.blocks_of("soft")
 
 
 def fill_functions(fields: Sequence[ActiveField], u: Sequence[Array]) -> None:

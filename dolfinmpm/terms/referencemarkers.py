@@ -24,8 +24,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.boundary import OWN, Boundary
-from dolfinmpm.body.location import bounds
-from dolfinmpm.body.migration import settle
+from dolfinmpm.body.location import bounds, use_configuration
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.walldistance import look_ahead
 
@@ -74,7 +73,7 @@ def require_reference(boundaries: Sequence[Any], contacts: Sequence[Any]) -> Non
                 )
             e = markers.strain_dim
             markers.add_field(OWN, (e, e), "", np.eye(e))
-        settle(markers, "total")
+        use_configuration(markers, "total")
 
 
 def reference_wall(boundary: Boundary) -> None:

@@ -43,7 +43,7 @@ def test_volumes_are_those_of_whole_rings(kind):
     assert abs(points.volume_error) < 1e-12
     assert points["F"].shape == (len(points), 3, 3)
     assert (points.gdim, points.strain_dim, points.F.ufl_shape) == (2, 3, (3, 3))
-    assert points.fault() is None
+    assert points.error_in_fields() is None
     # the grid sees their sections
     area = 0.25**2 / (4 if kind == mesh.CellType.quadrilateral else 8)
     assert points.placement().volume.max() == pytest.approx(area, rel=1e-12)

@@ -66,7 +66,7 @@ def test_means_by_centres_over_the_domains_of_others(size):
     problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
     with_history(points)
     check(problem)
-    means = problem.here.regions[0].means
+    means = problem.here.regions[0].averages
     m = np.sin(np.arange(len(points)))
     cell = np.unique(points["cell"], return_inverse=True)[1]
     sums = np.bincount(cell, points["V"] * m) / np.bincount(cell, points["V"])

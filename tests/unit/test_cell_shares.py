@@ -23,7 +23,7 @@ def shares_of(x, levels=0):
     if levels:
         V = mpm.Space(grid, "gimp", refine=lambda x: np.full(x.shape[1], CELL), levels=levels)
         where = points.placement("updated")
-        V.refinement.leaves_for(where, True)
+        V.refinement.update_leaves(where, True)
         basis = V.refinement.basis(V.basis, 0, None)
     else:
         basis, where = mpm.Space(grid, "gimp").basis, points.placement()

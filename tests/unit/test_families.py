@@ -79,7 +79,7 @@ def test_a_split_keeps_the_sums_and_a_merge_returns_the_points(kind, affine):
         np.testing.assert_allclose(change.after.momentum, change.before.momentum, atol=1e-14)
     else:
         same_sums(change)
-    assert points.fault() is None
+    assert points.error_in_fields() is None
     back = mpm.merge(points, 1e-6)
     assert back.count == change.count
     agrees(points, before)
@@ -123,7 +123,7 @@ def test_numbers_tell_the_family():
     mpm.split(points, young & (known.place == 2))
     known = mpm.families(points)
     assert sorted(known.level.tolist()) == [0] * 15 + [1] * 3 + [2] * 4
-    assert (known.root[known.level > 0] == 3).all()
+    assert (known.ancestor[known.level > 0] == 3).all()
     # numbers of points that come later do not meet those of children
     more = mpm.fill(points.grid, mpm.Box((0, 0), (0.2, 0.2)), 1, 1.0)
     points.add(more)

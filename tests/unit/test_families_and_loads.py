@@ -42,7 +42,7 @@ def both(build, steps=5, every=None):
             if splits and k == steps - 1:
                 assert mpm.merge(points, every or 1e-2).count
             step(k)
-        assert points.fault() is None
+        assert points.error_in_fields() is None
         found.append(np.ravel(figures()))
     return found
 

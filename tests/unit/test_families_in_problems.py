@@ -144,7 +144,7 @@ def test_a_block_that_swings_goes_on(kind, options):
                 )
             block.problem.step((k + 1) * 0.01)
             tops.append(points["V0"] @ (points["x"] - points["x0"])[:, 1] / points["V0"].sum())
-        assert points.fault() is None
+        assert points.error_in_fields() is None
         assert points["V0"] @ points["density"] == pytest.approx(RHO * HEIGHT, rel=1e-13)
         swings.append(tops)
     size = np.abs(swings[0]).max()

@@ -91,7 +91,7 @@ def test_tangent_where_points_yield(kind, basis, law):
     problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
     with_history(points)
     operator = check(problem, tolerance=5e-6).operator
-    yielded = operator.points.commit()["plastic_strain"] > 0
+    yielded = operator.points.end_state()["plastic_strain"] > 0
     assert yielded.mean() > 0.5
 
 
@@ -291,11 +291,11 @@ def test_a_point_turned_inside_out_is_named():
     """A volume that is not positive, or not a number, fails the step and not the run."""
     problem = bent("gimp", Hencky(20.0, 0.3), steps=1, load=0.1)
     n, here = len(problem.points), problem.activate()
-    law, means = problem.form.regions[0].operators[0].law, here.regions[0].couplings[0].means
+    law, averages = problem.form.regions[0].operators[0].law, here.regions[0].couplings[0].averages
     for bad in (-1.5, np.nan):
         H = np.zeros((n, 4))
         H[5, 0] = bad
-        law.prepare(H, means.mean)
+        law.prepare(H, averages.mean)
         S = np.empty((n - 3, 4))
         first = law.evaluate(H[3:], S, None, np.arange(3, n, dtype=np.int32))
         # a mean that is not a number is one of all points of the cell

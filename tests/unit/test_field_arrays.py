@@ -309,13 +309,13 @@ def test_nothing_is_taken_anew_where_nothing_was_touched(monkeypatch, law):
     calls = []
     counted(monkeypatch, calls, fused, "PointArrays")
     counted(monkeypatch, calls, FusedLoads, "evaluate")
-    counted(monkeypatch, calls, mpm.MaterialPoints, "fault")
+    counted(monkeypatch, calls, mpm.MaterialPoints, "error_in_fields")
     scene.go()
     assert calls == []
     # the loads do not ask for positions; whether these are possible is another matter
     assert scene.points["x"].shape == (len(scene.points), 2)
     scene.go()
-    assert calls == ["fault"]
+    assert calls == ["error_in_fields"]
 
 
 def test_what_is_impossible_is_refused_between_calls():

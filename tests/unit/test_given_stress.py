@@ -9,7 +9,7 @@ from dolfinx import mesh
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError, StateError
-from dolfinmpm.body.resultfields import OF_STRAIN
+from dolfinmpm.body.pointchecks import OF_STRAIN
 from dolfinmpm.kinematics.strainhistory import MARKS, UMAT
 
 LAW = mpm.materials.Hencky(1e4, 0.3)

@@ -106,7 +106,7 @@ def same(problem):
     operator.move(x)
     first = tangent(operator)  # asks the law; who comes after it reads
     operator.move(x)
-    state = operator.points.commit()
+    state = operator.points.end_state()
     operator.residual(x)
     np.testing.assert_array_equal(tangent(operator), first)
     assert np.abs(first).max() > 0
@@ -116,7 +116,7 @@ def same(problem):
     for values, expected in zip(operator.forces(), push):
         np.testing.assert_array_equal(values, expected)
     np.testing.assert_array_equal(operator.residual(x).values, force)
-    found = operator.points.commit()
+    found = operator.points.end_state()
     assert found.keys() == state.keys()
     for name, values in state.items():
         np.testing.assert_array_equal(found[name], values)
@@ -183,7 +183,7 @@ def test_what_is_not_of_these_increments_is_not_read(monkeypatch):
     operator.update_external()
     assert anew(lambda: tangent(operator)) == 1
     # the state may be another after the end of a step
-    assert anew(operator.points.commit) == 0
+    assert anew(operator.points.end_state) == 0
     problem.points["be"] *= 1.01
     assert anew(lambda: tangent(operator)) == 1
 

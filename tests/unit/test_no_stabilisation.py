@@ -16,7 +16,7 @@ import dolfinmpm as mpm
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 STABILISATIONS = ("ghost", "aggregation", "weak-aggregation", "extended", "soft")
 # where all of the stabilisations' own work is done
-MODULES = ("stabilisations", "penalties", "aggregation", "fractions", "prolongation")
+MODULES = ("stabilisations", "penalties", "aggregation", "fractions", "prolongation", "krylov")
 
 
 def column(basis, stabilisation="none"):
@@ -45,7 +45,7 @@ def calls_in_a_step(problem):
         path, name = Path(frame.f_code.co_filename), frame.f_code.co_name
         if event != "call" or len(path.parts) < 3 or path.parts[-3] != "dolfinmpm":
             return
-        if path.stem in MODULES or (path.stem, name) == ("active", "select"):
+        if path.stem in MODULES or (path.stem, name) == ("activecells", "select"):
             called[f"{path.stem}.{name}"] += 1
 
     sys.setprofile(see)

@@ -173,9 +173,9 @@ def test_a_law_that_follows_asks_for_its_state():
 
 def test_laws_of_the_library_cost_nothing_more():
     _, problem = moved(as_law, stabilisation="aggregation", steps=0)
-    assert problem.form.own == []
+    assert problem.form.ufl_stresses == []
     points, V = body()
     points["tag"] = points["x"][:, 0] > 0.75
     F = mpm.momentum(LAW, points, V.increment, V.test, tag=0)
     F += mpm.momentum(LAW, points, V.increment, V.test, tag=1) + 10 * V.test[1] * points.dX
-    assert mpm.QuasiStatic(F, V.increment, points).form.own == []
+    assert mpm.QuasiStatic(F, V.increment, points).form.ufl_stresses == []

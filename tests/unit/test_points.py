@@ -126,17 +126,17 @@ def test_the_constructor_refuses_what_is_not(changes, error, message):
 @pytest.mark.parametrize("kind", ["quadrilateral", "triangle"])
 def test_fields_set_wrongly_are_found(kind, name, value, message):
     points = mpm.fill(unit_grid(kind), mpm.Box((0, 0), (1, 1)), 2, density=1.0)
-    assert points.fault() is None
+    assert points.error_in_fields() is None
     points[name][-1] = value
-    assert message in str(points.fault())
+    assert message in str(points.error_in_fields())
 
 
 def test_points_moved_by_hand_are_located():
     points, _ = lower_and_upper()
     points["x"] += (0.0, 0.5)
-    assert "points.locate()" in str(points.fault())
+    assert "points.locate()" in str(points.error_in_fields())
     points.locate()
-    assert points.fault() is None
+    assert points.error_in_fields() is None
     points["x"] += (0.0, 0.5)
     with pytest.raises(PointsOutsideGridError, match="32 points are outside the grid, the first"):
         points.locate()
@@ -247,7 +247,7 @@ def test_excavation_and_fill_between_steps():
     new = points["tag"] == 2
     assert points["id"][new].min() >= 64, "numbers are not given twice"
     problem.step()
-    assert points.fault() is None
+    assert points.error_in_fields() is None
 
 
 def test_new_points_have_the_first_state_of_the_law():

@@ -20,7 +20,7 @@ def on_leaves(gdim, degree, seed=7, levels=3, cells=4):
     size = refined.random_size(rng, gdim, levels)
     V = mpm.Space(grid, f"bspline{degree}", refine=size, levels=levels)
     points = mpm.fill(grid, mpm.Box((0,) * gdim, (cells,) * gdim), 1, 1.0, refine=V)
-    V.refinement.leaves_for(points.placement("updated"), True)
+    V.refinement.update_leaves(points.placement("updated"), True)
     return V, V.refinement.basis(V.basis, 0, None)
 
 
@@ -97,7 +97,7 @@ def test_projections_have_the_order_of_the_splines(degree, order):
 
         V = mpm.Space(grid, f"bspline{degree}", refine=size, levels=2)
         points = mpm.fill(grid, mpm.Box((0, 0), (cells, cells)), 1, 1.0, refine=V)
-        V.refinement.leaves_for(points.placement("updated"), True)
+        V.refinement.update_leaves(points.placement("updated"), True)
         basis = V.refinement.basis(V.basis, 0, None)
         gauss, weights = np.polynomial.legendre.leggauss(5)
         t = 0.5 * (gauss + 1)

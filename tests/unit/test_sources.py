@@ -39,7 +39,7 @@ def test_arrays_on_every_kind_of_grid(any_grid):
     np.testing.assert_array_equal(points["density"], 1 + points["x"][:, 0])
     np.testing.assert_allclose(np.prod(2 * points["l"], axis=1), points["V"])
     assert np.ptp(points["l"], axis=1).max() < 1e-15
-    assert points.fault() is None
+    assert points.error_in_fields() is None
 
 
 def test_numbers_half_lengths_and_fields_may_be_given():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dolfinmpm.assembly.stiffness import stiffness_kernel
-from dolfinmpm.cut.merging import merged, summed
+from dolfinmpm.cut.merging import one_block_per_pair, summed
 from dolfinmpm.cut.pattern import Blocks
 
 
@@ -89,10 +89,10 @@ def test_parts_of_the_same_fields_are_made_one():
     node = np.array([1], np.int32)
     parts = [Blocks(i, j, node, node, np.full((1, 1, 1), v)) for i, j, v in
              ((0, 0, 1.0), (0, 1, 2.0), (0, 0, 4.0))]  # fmt: skip
-    one, other = merged(parts)
+    one, other = one_block_per_pair(parts)
     assert (one.row_field, one.column_field, one.values.item()) == (0, 0, 5.0)
     assert other is parts[1]
-    assert merged([]) == []
+    assert one_block_per_pair([]) == []
 
 
 BLOCK = """

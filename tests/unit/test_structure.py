@@ -82,7 +82,8 @@ def test_classes_on_the_path_of_a_step_are_small():
         parts = [
             problem, problem.form, problem.form.grid, problem.solver, newton, newton.linear,
             operator, operator.points, operator.points.regions[0], operator.here.unknowns,
-            problem.fields[0], problem.held, problem.loads, Outcome(), *problem.form.regions,
+            problem.fields[0], problem.essential_conditions, problem.loads, Outcome(),
+            *problem.form.regions,
         ]  # fmt: skip
         parts += [problem.path] if isinstance(problem, mpm.ArcLength) else []
         small(parts)

@@ -45,7 +45,7 @@ def test_leaves_of_one_size_have_the_shares_of_a_grid(degree):
     points = mpm.fill(grid, mpm.Box((0, 0), (4, 2.5)), 4, 1.0)
     V = mpm.Space(grid, f"bspline{degree}", refine=lambda x: np.ones(x.shape[1]), levels=1)
     where, plain = points.placement(), mpm.Space(grid, f"bspline{degree}").basis
-    V.refinement.leaves_for(points.placement("updated"), True)
+    V.refinement.update_leaves(points.placement("updated"), True)
     basis = V.refinement.basis(V.basis, 0, None)
     on_lattice = support_shares(where, plain.stencils(where), plain)
     found = support_shares(where, basis.stencils(where), basis)

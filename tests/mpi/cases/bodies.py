@@ -128,7 +128,7 @@ def staged():
     assert points.add_field("water", ()).array.min(initial=2.0) == 2.0
     changes.append(points.remove(tag=3))
     steps((10.0, -70.0))
-    assert points.fault() is None
+    assert points.error_in_fields() is None
     ids = np.concatenate(COMM.allgather(points["id"]))
     assert np.unique(ids).size == points.total == COMM.allreduce(len(points))
     return {
@@ -237,7 +237,7 @@ def in_a_corner():
         points.add(mpm.fill(grid, mpm.Box((5, 0), (7, 3)), 3, 2.0, tag=2))
         problem.step()
         output.write(2.0)
-    assert points.fault() is None
+    assert points.error_in_fields() is None
     figures = {"added": numbered(points, "F", "stress")}
     both = points + mpm.fill(grid, mpm.Box((0, 8), (2, 9)), 2, 1.0, tag=3)
     figures["joined"] = numbered(both, "F", "stress")

@@ -122,7 +122,7 @@ def fbar_layers():
             problem.activate()
             (region,) = problem.here.regions
             assert all(coupling.complete for coupling in region.couplings)
-            means = region.couplings[0].means
+            means = region.couplings[0].averages
             squares = points["V"] @ means.mean(points["x"][:, 0]) ** 2
             figures[f"{basis} {half}"] = COMM.allreduce(float(squares), op=MPI.SUM)
     return figures
