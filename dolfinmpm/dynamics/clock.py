@@ -271,7 +271,7 @@ def end_of_step(t: float | None, now: float, wanted: float | None) -> float:
         end = min(t.end, now + (wanted or math.inf))
     if not end > now:
         raise ParameterError(
-            f"t = {end:g} s must be later than the time of the state, {now:g} s: a step goes to the "
-            "time t, so add the length of the step to the time of the problem"
+            f"t = {end:g} s must be later than the time of the state, {now:g} s: a step goes to "
+            "the time t, so add the length of the step to the time of the problem"
         )
     return end

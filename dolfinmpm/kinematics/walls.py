@@ -54,10 +54,10 @@ __all__ = ["Wall", "signorini"]
 # Penalties in units of M/h: the body gets into a wall by a hundredth of a cell's compression, in
 # explicit steps by a tenth, because stiff walls need short steps
 _PENALTY, _EXPLICIT = 1e2, 10.0
-# Stiffness against slip that sticks, in units of M/h. It is softer by far: Newton's method takes all
-# that slides for sliding on, without stiffness; where the wall were much stiffer than the body, the
-# next iteration would have it slide back, and so on. In steps with inertia it is a share of the
-# penalty: inertia keeps such iterations apart.
+# Stiffness against slip that sticks, in units of M/h. It is softer by far: Newton's method takes
+# all that slides for sliding on, without stiffness; where the wall were much stiffer than the body,
+# the next iteration would have it slide back, and so on. In steps with inertia it is a share of
+# the penalty: inertia keeps such iterations apart.
 _SLIP, _SLIP_IN_TIME = 0.5, 0.5
 # Stiffness that explicit steps count, as a multiple: they take half of the length that is stable. A
 # penalty that begins to act within a longer step makes up to a tenth of an impact's energy.
