@@ -2,11 +2,12 @@
 
 Each is FLIP with quadratic B-splines and a neo-Hookean law under large strain, in double
 precision: points to nodes with atomic sums, the nodes, and back, one kernel each. Taichi runs
-with one thread; warp's processor kernels have no more.
+with one thread; warp's processor kernels have no more. Runs begin with half a step, as ours do.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -68,21 +69,22 @@ def warp_steps(scene: dict[str, Any]) -> tuple[Callable[[int], None], Callable[[
     def on_grid(
         m: wp.array2d(dtype=wp.float64), p: wp.array2d(dtype=wp.vec2d),
         f: wp.array2d(dtype=wp.vec2d), v: wp.array2d(dtype=wp.vec2d), a: wp.array2d(dtype=wp.vec2d),
+        kick: wp.float64,
     ):  # fmt: skip
         i, j = wp.tid()
         if m[i, j] > nothing:
             acceleration = f[i, j] / m[i, j] + wp.vec2d(nothing, gravity)
-            v[i, j] = p[i, j] / m[i, j] + dt * acceleration
+            v[i, j] = p[i, j] / m[i, j] + kick * acceleration
             if j < held:
                 v[i, j] = wp.vec2d(nothing, nothing)
-                acceleration = -p[i, j] / (m[i, j] * dt)
+                acceleration = -p[i, j] / (m[i, j] * kick)
             a[i, j] = acceleration
 
     @wp.kernel
     def to_points(
         x: wp.array(dtype=wp.vec2d), v: wp.array(dtype=wp.vec2d), F: wp.array(dtype=wp.mat22d),
         tau: wp.array(dtype=wp.mat22d), v_node: wp.array2d(dtype=wp.vec2d),
-        a_node: wp.array2d(dtype=wp.vec2d),
+        a_node: wp.array2d(dtype=wp.vec2d), kick: wp.float64,
     ):  # fmt: skip
         k = wp.tid()
         at = x[k] * per_h
@@ -99,7 +101,7 @@ def warp_steps(scene: dict[str, Any]) -> tuple[Callable[[int], None], Callable[[
                 change += N * a_node[i + a - 1, j + b - 1]
                 L += wp.outer(here, wp.vec2d(dx[a] * wy[b], wx[a] * dy[b]))
         x[k] = x[k] + dt * flow
-        v[k] = v[k] + dt * change
+        v[k] = v[k] + kick * change
         new = (wp.identity(n=2, dtype=wp.float64) + dt * L) * F[k]
         F[k] = new
         J = wp.determinant(new)
@@ -112,14 +114,15 @@ def warp_steps(scene: dict[str, Any]) -> tuple[Callable[[int], None], Callable[[
     tau = wp.zeros(n, dtype=wp.mat22d)
     m = wp.zeros((side, side), dtype=wp.float64)
     p, f, v_node, a_node = (wp.zeros((side, side), dtype=wp.vec2d) for _ in range(4))
+    kicks = itertools.chain([half * dt], itertools.repeat(dt))
 
     def go(steps: int) -> None:
-        for _ in range(steps):
+        for kick in itertools.islice(kicks, steps):
             for sums in (m, p, f):
                 sums.zero_()
             wp.launch(to_grid, dim=n, inputs=[x, v, tau, m, p, f])
-            wp.launch(on_grid, dim=(side, side), inputs=[m, p, f, v_node, a_node])
-            wp.launch(to_points, dim=n, inputs=[x, v, F, tau, v_node, a_node])
+            wp.launch(on_grid, dim=(side, side), inputs=[m, p, f, v_node, a_node, kick])
+            wp.launch(to_points, dim=n, inputs=[x, v, F, tau, v_node, a_node, kick])
 
     return go, x.numpy
 
@@ -134,7 +137,7 @@ def taichi_steps(scene: dict[str, Any]) -> tuple[Callable[[int], None], Callable
     per_h = 1.0 / h
     x, v = ti.Vector.field(2, float, n), ti.Vector.field(2, float, n)
     F, tau = ti.Matrix.field(2, 2, float, n), ti.Matrix.field(2, 2, float, n)
-    m = ti.field(float, (side, side))
+    m, kick = ti.field(float, (side, side)), ti.field(float, ())
     p, f, v_node, a_node = (ti.Vector.field(2, float, (side, side)) for _ in range(4))
 
     @ti.kernel
@@ -157,10 +160,10 @@ def taichi_steps(scene: dict[str, Any]) -> tuple[Callable[[int], None], Callable
         for i, j in m:
             if m[i, j] > 0:
                 acceleration = f[i, j] / m[i, j] + ti.Vector([0.0, GRAVITY])
-                v_node[i, j] = p[i, j] / m[i, j] + dt * acceleration
+                v_node[i, j] = p[i, j] / m[i, j] + kick[None] * acceleration
                 if j < held:
                     v_node[i, j] = [0.0, 0.0]
-                    acceleration = -p[i, j] / (m[i, j] * dt)
+                    acceleration = -p[i, j] / (m[i, j] * kick[None])
                 a_node[i, j] = acceleration
             m[i, j] = 0.0
             p[i, j] = [0.0, 0.0]
@@ -182,7 +185,7 @@ def taichi_steps(scene: dict[str, Any]) -> tuple[Callable[[int], None], Callable
                 change += w[a][0] * w[b][1] * a_node[node]
                 L += v_node[node].outer_product(ti.Vector([s[a][0] * w[b][1], w[a][0] * s[b][1]]))
             x[k] += dt * flow
-            v[k] += dt * change
+            v[k] += kick[None] * change
             F[k] = (ti.Matrix.identity(float, 2) + dt * L) @ F[k]
             J = F[k].determinant()
             tau[k] = mu * F[k] @ F[k].transpose() + ti.Matrix.identity(float, 2) * (
@@ -193,8 +196,11 @@ def taichi_steps(scene: dict[str, Any]) -> tuple[Callable[[int], None], Callable
     v.from_numpy(scene["v"])
     F.from_numpy(np.tile(np.eye(2), (n, 1, 1)))
 
+    kicks = itertools.chain([0.5 * dt], itertools.repeat(dt))
+
     def go(steps: int) -> None:
-        for _ in range(steps):
+        for now in itertools.islice(kicks, steps):
+            kick[None] = now
             to_grid()
             on_grid()
             to_points()
