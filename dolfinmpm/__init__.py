@@ -18,7 +18,6 @@ with _idle_collector():
     from dolfinmpm.body.bodysums import BodySums
     from dolfinmpm.body.boundary import Boundary
     from dolfinmpm.body.filling import fill
-    from dolfinmpm.body.footing import RigidFooting
     from dolfinmpm.body.meshpartition import partitioner
     from dolfinmpm.body.pointfamilies import Families, FamilyChange, families, merge, split
     from dolfinmpm.body.points import MaterialPoints, PointChange
@@ -62,6 +61,7 @@ with _idle_collector():
         signorini,
         stress,
     )
+    from dolfinmpm.kinematics.footing import RigidFooting
     from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
     from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid, start_at_rest
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
 
 __all__ = [
-    "AMOUNTS", "Children", "at_corners", "child_values", "children", "first_halves", "seats",
-    "surfaces",
+    "AMOUNTS", "Children", "at_corners", "child_values", "children", "face_motions",
+    "first_halves", "surfaces",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -61,9 +61,9 @@ def surfaces(names: Mapping[str, Any]) -> list[str]:
     return [name for name in ends if f"{name}_offset" in names]
 
 
-def seats(names: Mapping[str, Any], surface: str) -> list[str]:
-    """Names of the fields with the first places of a surface's faces under footings."""
-    return [name for name in names if re.fullmatch(rf"{re.escape(surface)}_seat\d*", name)]
+def face_motions(names: Mapping[str, Any], surface: str) -> list[str]:
+    """Names of the fields with the motions of a surface's faces under footings."""
+    return [name for name in names if re.fullmatch(rf"{re.escape(surface)}_motion\d*", name)]
 
 
 def at_corners(points: MaterialPoints, name: str) -> bool:
@@ -162,8 +162,3 @@ def _face(points: MaterialPoints, surface: str, born: Children, new: dict[str, A
     families = weight.reshape(-1, 2**d)
     new[offset] = moved
     new[area] = A * (families / families.sum(axis=1, keepdims=True)).reshape(-1, 1)
-    # the face of a child lies beside the middle of the parent's face
-    beside = np.where(there[:, None], born.reach - along, 0.0)
-    shift = np.einsum("pij,pj->pi", in_section(points, points["F"])[born.of], beside)
-    for seat in seats(points.fields, surface):
-        new[seat] = new[seat] + shift

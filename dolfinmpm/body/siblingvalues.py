@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.body.childvalues import AMOUNTS, at_corners, seats, surfaces
+from dolfinmpm.body.childvalues import AMOUNTS, at_corners, face_motions, surfaces
 from dolfinmpm.body.familyids import parents_of, side_signs
 
 if TYPE_CHECKING:
@@ -268,5 +268,5 @@ def _face(of: Siblings, surface: str, new: Fields) -> None:
     have = size.sum(axis=1) > 0
     weight = np.where(have[:, None], size, 1.0)
     new[offset] = np.where(have[:, None], _mean(at, weight) - new["x0"], 0.0)
-    for seat in seats(of.fields, surface):
-        new[seat] = _mean(of[seat], weight)
+    for motion in face_motions(of.fields, surface):
+        new[motion] = _mean(of[motion], weight)

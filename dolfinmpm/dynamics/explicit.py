@@ -47,6 +47,7 @@ from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.smallmass import BulkViscosity, check_filters
 from dolfinmpm.forms.formchecks import check_explicit
+from dolfinmpm.kinematics.footing import refuse_footings
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.freebodies import check_masses
@@ -187,6 +188,7 @@ class Explicit(MovingBody, Problem):
         check_boundaries(self.form, mass)
         check_filters(u[0]._dolfinmpm_space, settings.filters, collision)
         check_explicit(form, u[0], points)
+        refuse_footings(form)
         check_masses(self.bodies)
         refuse_constraints(faces, self.fields)
         ghost_mass = ghost_mass_at(faces, u[0]._dolfinmpm_space, mass, ghost_mass)

@@ -205,7 +205,8 @@ class NewmarkScheme(TimedScheme):
         """Set time and loads at a share of a step. Loads that jump do so at its start."""
         clock = self.clock
         done = (step.t - clock.start) / (clock.end - clock.start)
-        problem.loads.set(done if self.jumped else done - (1 - share) * step.share)
+        moved = done - (1 - share) * step.share
+        problem.loads.set(done if self.jumped else moved, moved)
         self.set_time(step.t - (1 - share) * step.dt)
 
     def system(self, problem: Any, step: Step) -> Operator:

@@ -43,14 +43,15 @@ class CarriedField(PointField):
             None. The unknown is then a field itself and no increment.
         level: Share of the step at which forces balance, for which the expression was written.
             The unknowns in the expression belong to this level, and its value belongs to the end
-            of the step. 1 except for generalised-α methods.
+            of the step. 1 except for generalised-α methods. None if the expression is that of
+            the whole step's unknowns, whatever the level.
         bounds: Limits of the values, which must lie strictly between them, or None.
         gravity: Acceleration (m/s²) whose weight of this density is in the terms, or None.
     """
 
     update: Expr
     of: Expr | None = None
-    level: float = 1.0
+    level: float | None = 1.0
     bounds: tuple[float, float] | None = None
     gravity: Expr | None = None
 

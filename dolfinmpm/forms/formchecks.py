@@ -80,7 +80,9 @@ def check_levels(kept: Sequence[PointField], share: float, problem: str) -> None
         FormError: The levels differ.
     """
     for field in kept:
-        if isinstance(field, CarriedField) and abs(field.level - share) > 1e-12:
+        if not isinstance(field, CarriedField) or field.level is None:
+            continue
+        if abs(field.level - share) > 1e-12:
             raise FormError(
                 f"the form carries '{field.name}' by a rule for forces that balance at "
                 f"{field.level:.6g} of a step, but {problem} balances forces at {share:.6g}: for "

@@ -62,10 +62,17 @@ class Loads:
         """Take the present values as the values at the end of the step."""
         self._target = self._read()
 
-    def set(self, share: float) -> None:
-        """Set the values at a share of the step."""
+    def set(self, share: float, moved: float | None = None) -> None:
+        """Set the values at a share of the step.
+
+        Args:
+            share: The share.
+            moved: The share of constants that move something, which never jump; `share` by default.
+        """
         for item, start, target in zip(self.items, self._start, self._target):
-            self._array(item)[...] = target if share >= 1 else start + share * (target - start)
+            moving = moved is not None and any(item is one for one in self._moving)
+            at = moved if moving and moved is not None else share
+            self._array(item)[...] = target if at >= 1 else start + at * (target - start)
 
     def accept(self, whole: bool = True) -> None:
         """Take the present values as the values of a converged state.
@@ -108,6 +115,7 @@ class Loads:
 
         A load jumps if it changes by more than half of the larger of the two values, and the
         change in the step before was less than a tenth of this change. `change` has the changes.
+        What moves something is no load: it goes on evenly from one step to the next.
         """
         before, self.change = self._last_change, []
         jumped = False
@@ -115,7 +123,8 @@ class Loads:
             change = float(np.abs(target - start).max(initial=0.0))
             size = max(np.abs(start).max(initial=0.0), np.abs(target).max(initial=0.0))
             self.change.append(change)
-            jumped |= change > 0.5 * size > 0 and (not before or before[k] < 0.1 * change)
+            if reached(self.items[k]) is None:
+                jumped |= change > 0.5 * size > 0 and (not before or before[k] < 0.1 * change)
         return bool(jumped)
 
     def describe(self) -> str:

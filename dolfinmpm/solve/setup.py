@@ -12,7 +12,6 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.footing import seats
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field, movers
 from dolfinmpm.cut.stabilisations import Stabilisation
@@ -21,6 +20,7 @@ from dolfinmpm.forms.declarations import declared
 from dolfinmpm.forms.hoop import check_hoop
 from dolfinmpm.forms.termqueries import penalty_of
 from dolfinmpm.kinematics.fbar import VOLUMES
+from dolfinmpm.kinematics.footing import motions_under_footings
 from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -131,9 +131,10 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
         for declaration in form.parts.declarations
         if declaration.updates
     ]
-    kept = {f.name: f.update for f in form.parts.carried if isinstance(f, CarriedField)}
-    kept = {name: update for name, update in kept.items() if name not in given}
-    for updates, carried in ((kept, True), (given, False)):
+    kept = [f for f in form.parts.carried if isinstance(f, CarriedField) and f.name not in given]
+    leveled = {f.name: f.update for f in kept if f.level is not None}
+    whole = {f.name: f.update for f in kept if f.level is None}
+    for updates, carried in ((leveled, True), ({**whole, **given}, False)):
         for expression in updates.values():
             check_hoop(form.points, expression)
         if updates:
@@ -177,7 +178,7 @@ def refuse_held_faces(given: ufl.Form, form: WeakForm) -> None:
             motion. A stiff footing makes large forces of that.
     """
     kept = next((d for d in form.parts.declarations if d.fbar == VOLUMES), None)
-    holders = [f"the footing with the field {name}" for name in seats(given)]
+    holders = [f"the footing with the field {name}" for name in motions_under_footings(given)]
     holders += [str(term) for term in form.terms if term.holds_faces]
     if kept is not None and holders:
         raise ParameterError(

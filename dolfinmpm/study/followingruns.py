@@ -13,7 +13,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import coordinates, shown
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError, call_together
-from dolfinmpm.body.footing import seats
+from dolfinmpm.kinematics.footing import motions_under_footings
 from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -33,8 +33,8 @@ _UNCONVERGED = (
     "forces remain that the tangent does not remove (it may not be the derivative of the forces, "
     "or they are rounded, as those of a stiff footing), so that derivatives may be wrong"
 )
-# The force of a `RigidFooting` is its stiffness times a gap of some 1e-7 m, which is the difference
-# of two places in metres: it has 9 digits or fewer. Where a UMAT chooses substeps by an error, its
+# The force of a `RigidFooting` is its stiffness times a gap, which is the difference of two motions
+# that are some 10⁴ times as large: it has 11 digits. Where a UMAT chooses substeps by an error, its
 # stress jumps by some 1e-7 from one number of substeps to the next, which nobody can tell.
 _FOOTING, _UMAT = 1e-5, 1e-4
 
@@ -87,7 +87,7 @@ class FollowedRun:
         forms = [problem.form for problem in self.problems]
         if any(isinstance(law.law, UMAT) for form in forms for law in form.parts.declarations):
             return _UMAT
-        return _FOOTING if any(seats(form.given) for form in forms) else None
+        return _FOOTING if any(motions_under_footings(form.given) for form in forms) else None
 
     def leave_out(self, steps: int) -> None:
         """Leave out the next steps."""

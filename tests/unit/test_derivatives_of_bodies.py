@@ -74,7 +74,7 @@ def test_a_contact_that_just_touches_has_no_mirror_image():
 
 
 def test_the_load_of_a_footing_has_digits_enough():
-    """It is nearly proportional to E, beside which the footing is stiff, with gaps of 1e-8 m."""
+    """Its gaps are of 1e-8 m, where places are of 3 m: their difference had errors of 4e-4."""
 
     def pressed(m):
         grid = grid_of((6.0, 4.0), (12, 8))
@@ -82,10 +82,11 @@ def test_the_load_of_a_footing_has_digits_enough():
         V, settlement = mpm.Space(grid, "gimp"), fem.Constant(grid, 0.0)
         top = mpm.Surface(points, lambda x: (x[1] > 2.9) & (x[0] < 1.0), (0, 1))
         footing = mpm.RigidFooting(top, settlement, E=1e6)
-        F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.3), points, V.increment, V.test)
+        F = mpm.momentum(mpm.materials.Hencky(m["E"], m["nu"]), points, V.increment, V.test)
         F += footing.contact(V.increment, V.test)
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-        problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+        options = {"stabilisation": "ghost", "tolerance": 1e-11}
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs, **options)
 
         def step():
             settlement.value = 0.002
@@ -93,7 +94,8 @@ def test_the_load_of_a_footing_has_digits_enough():
 
         return study.Run(problem, [step], {"load": footing.load})
 
-    found = study.differentiate(pressed, {"E": 1e6})
-    share = found.derivatives["load"]["E"] / found.figures["load"]
-    np.testing.assert_allclose(share, 1.0, rtol=0, atol=1e-3)
+    parameters = {"E": 1e6, "nu": 0.3}
+    found = study.differentiate(pressed, parameters)
+    errors = errors_of(pressed, parameters, found, 1e-3)
+    assert max(errors.values()) < 2e-6
     assert not found.notes

@@ -13,16 +13,17 @@ from ufl.algorithms import extract_coefficients
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, truth
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm._platform.readonce import ReadOnce
-from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.formarguments import check_displacement
-from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.constants import begin_at_zero, own_constant
 from dolfinmpm.grid.lattice import cell_size
 
-__all__ = ["RigidFooting", "seats"]
+__all__ = ["RigidFooting", "motions_under_footings", "refuse_footings"]
 
 Array = npt.NDArray[np.float64]
 
@@ -36,18 +37,22 @@ class RigidFooting(ReadOnce):
     """A rigid footing that is pressed into a face of the body by a given settlement.
 
     A penalty holds the faces of the surface's points at the footing. It acts on the total gap
-    g = n·(x_s − X_s) + s, with the first place X_s of the face and the settlement s. So the next
-    step sees a gap that one step leaves, and errors do not add up. A rough footing holds the faces
-    sideways too; a smooth one does not. Both stay in contact, and pull when they are lifted.
+    g = n·d + s, with the motion d of the face since the footing was made, and the settlement s. So
+    the next step sees a gap that one step leaves, and errors do not add up. A rough footing holds
+    the faces sideways too; a smooth one does not. Both stay in contact, and pull when they are
+    lifted.
 
-    The points get the field `<surface>_seat` (m), the first places of the faces. Its name ends with
+    The points get the field `<surface>_motion` (m), the motion d. It is a sum of increments. The
+    difference of two places would have too few digits for a gap of some 1e-7 m. The name ends with
     a number if the surface had a footing before.
 
     Args:
         surface: The surface under the footing, with an axis as its normal.
         settlement: Motion of the footing into the body (m) since it was made, against the outward
             normal: a scalar DOLFINx constant. A value that it has already acts in the first step.
-            Substeps take a share of its change, as of any load.
+            Substeps take a share of its change, as of any load. In time the footing moves evenly
+            over each step. Begin and end its motion smoothly: `Newmark` does not damp what a sudden
+            velocity sets swinging, `GeneralisedAlpha(rho_inf=0.5)` does.
         rough: Whether the faces are held sideways too.
         E: Young's modulus of the body (Pa), for the default stiffness 10⁴ E/h. h is the size of
             the largest cell.
@@ -57,6 +62,7 @@ class RigidFooting(ReadOnce):
         ParameterError: The surface has no axis for its normal, the settlement is not a scalar
             constant, neither E nor the stiffness is positive and finite, or an argument is
             assigned to later. A problem raises it if a law has fbar="volumes".
+        FormError: `Explicit` raises it, because its steps would be very short.
 
     A footing of 2 m, 1 cm down:
 
@@ -120,14 +126,11 @@ class RigidFooting(ReadOnce):
         # constants of the form, for numbers would be compiled into it
         self._k = own_constant(points.grid, self.stiffness)
         begin_at_zero("settlement", settlement)
-        names = (f"{surface.name}_seat{k or ''}" for k in itertools.count())
-        seat = next(name for name in names if name not in points.fields)
-        self._seat = points.add_field(seat, (points.gdim,), "m")
-        points[self._seat.name] = self._faces()
-
-    def _faces(self) -> Array:
-        points, R = self.surface.points, self.surface.points[self.surface.offset.name]
-        return points["x"] + np.einsum("pij,pj->pi", in_section(points, points["F"]), R)
+        names = (f"{surface.name}_motion{k or ''}" for k in itertools.count())
+        motion = next(name for name in names if name not in points.fields)
+        points.add_field(motion, (points.gdim,), "m")
+        self._motion = CarriedField(points, motion, (points.gdim,), "m")
+        self._motion.level = None
 
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""
@@ -148,7 +151,8 @@ class RigidFooting(ReadOnce):
         surface = self.surface
         check_displacement(surface.points, u=u)
         n = ufl.as_vector([float(c) for c in surface.normal])
-        gap = surface.position(u) - self._seat + self.settlement * n
+        self._motion.update = self._motion + surface.at(u)
+        gap = self._motion.update + self.settlement * n
         if not self.rough:
             gap = ufl.dot(gap, n) * n
         name = f"the contact of a footing on '{surface.name}'"
@@ -157,8 +161,7 @@ class RigidFooting(ReadOnce):
     def gaps(self) -> Array:
         """Gaps that the penalty leaves (m), shape (points on this rank, gdim)."""
         n = self.surface.normal
-        gap = self._faces() - self.surface.points[self._seat.name]
-        gap += float(self.settlement.value) * n
+        gap = self.surface.points[self._motion.name] + float(self.settlement.value) * n
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 
@@ -177,11 +180,24 @@ class RigidFooting(ReadOnce):
         return float(-self.reaction() @ self.surface.normal)
 
 
-def seats(form: ufl.Form) -> list[str]:
-    """Names of the fields in a form in which footings keep where the faces were."""
+def motions_under_footings(form: ufl.Form) -> list[str]:
+    """Names of the fields in a form with the motions of faces under footings."""
     fields = [c for c in extract_coefficients(form) if isinstance(c, PointField)]
     surfaces = {f.name.removesuffix("_offset") for f in fields if f.name.endswith("_offset")}
-    return sorted(f.name for f in fields if f.name.partition("_seat")[0] in surfaces)
+    return sorted(f.name for f in fields if f.name.partition("_motion")[0] in surfaces)
+
+
+def refuse_footings(form: ufl.Form) -> None:
+    """Raise FormError if explicit steps are given a form with a footing.
+
+    Their critical step does not know its penalty, by which it would be some hundred times shorter.
+    """
+    names = motions_under_footings(form)
+    if names:
+        raise FormError(
+            f"the form has the contact of a RigidFooting, with the field {names[0]}: its penalty "
+            "would make explicit steps very short; take mpm.RigidBody with mpm.contact, or Newmark"
+        )
 
 
 def _largest_cell(points: MaterialPoints) -> float:
