@@ -278,10 +278,11 @@ class NewmarkScheme(TimedScheme):
                 update.run(operator.points, carried)
         if scale != 1.0:
             operator.move(x, scale)
+        # what boundaries and the user's updates have at the end belongs to the loads there
+        self._load_at(problem, step, 1.0)
         state = new_state(problem, operator, carried=carried)
         if isinstance(state, str):
             return state
-        self._load_at(problem, step, 1.0)
         boundary_work, _ = works_of_boundaries(operator, motion.boundary_forces, state)
         self._load_at(problem, step, 0.5)
         may_halve = step.share > SHORTEST and step.share >= 2 * 0.5**problem.max_halvings

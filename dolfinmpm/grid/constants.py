@@ -17,7 +17,10 @@ from dolfinx.mesh import Mesh
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["begin_at_zero", "is_own", "own_constant", "reached", "take_reached"]
+__all__ = [
+    "begin_at_zero", "first_step_share", "is_own", "mark_moving", "own_constant", "reached",
+    "take_reached",
+]  # fmt: skip
 
 
 def own_constant(grid: Mesh, value: npt.ArrayLike) -> fem.Constant:
@@ -53,6 +56,22 @@ def begin_at_zero(what: str, constant: fem.Constant) -> None:
             "constant, dolfinx.fem.Constant(grid, 0.0), with the same number of components"
         )
     constant._dolfinmpm_reached = np.zeros_like(constant.value)
+
+
+def mark_moving(constant: fem.Constant) -> None:
+    """Mark a constant of which a displacement depends, and which begins at its present value.
+
+    In time, such a constant changes evenly over a step. A load may jump at the start of a step.
+    """
+    if reached(constant) is None:
+        constant._dolfinmpm_reached = np.array(constant.value)
+
+
+def first_step_share(grid: Mesh) -> fem.Constant:
+    """A constant that goes from 0 to 1 in the first step, the factor of a given displacement."""
+    share = own_constant(grid, 1.0)
+    begin_at_zero("share", share)
+    return share
 
 
 def reached(item: Any) -> npt.NDArray[np.float64] | None:

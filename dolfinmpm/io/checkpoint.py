@@ -37,7 +37,7 @@ __all__ = ["VERSION", "Checkpoint", "read", "write"]
 Arrays = dict[str, npt.NDArray[Any]]
 State = dict[str, Any]
 
-FORMAT, VERSION = "dolfinmpm checkpoint", 4
+FORMAT, VERSION = "dolfinmpm checkpoint", 5
 
 # Number of positions that ranks exchange at a time.
 _ASKED = 50_000

@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, floats, number, shown
@@ -40,7 +41,7 @@ from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.surfaceloads import own_grid
 from dolfinmpm.forms.declarations import Declaration, subdomain
-from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.constants import begin_at_zero, first_step_share, mark_moving, own_constant
 from dolfinmpm.kinematics.lawterms import flux
 from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
@@ -169,9 +170,11 @@ def dirichlet(
         boundary: The boundary.
         u: Increment of the displacement in the step (m), `Space.increment`.
         v: Test function, `Space.test`.
-        value: Displacement since the first step (m): a vector, or a number with a `direction`; a
-            DOLFINx constant, which substeps scale; a UFL expression over the boundary; or a
-            function of first positions (m), shape (gdim, n), that returns shape (n, gdim) or (n,).
+        value: Displacement since the condition was made (m): a vector, or a number with a
+            `direction`; a DOLFINx constant, of whose change substeps take a share; a UFL expression
+            over the boundary; or a function of first positions (m), shape (gdim, n), that returns
+            shape (n, gdim) or (n,). The first step brings about what is not zero at first. In time
+            the boundary moves evenly over each step.
         method: "nitsche", "skew" or "penalty".
         direction: None for all components, "normal" for the one along the boundary's
             normal at the start of the step, as of rollers at any angle and symmetry planes, or
@@ -309,12 +312,19 @@ def _value(boundary: Boundary, value: Any, shape: tuple[int, ...], name: str) ->
                 f"value '{str(value)[:100]}' has the shape {value.ufl_shape} and must be {what}"
             )
         own_grid(boundary.points, "value", value)
+        if isinstance(value, fem.Constant):
+            begin_at_zero("value", value)
+        else:
+            for constant in extract_constants(value):
+                mark_moving(constant)
         return value
+    share = first_step_share(boundary.points.grid)
     if callable(value):
-        return boundary.markers.add_field(name, shape, "m", value)
+        return share * boundary.markers.add_field(name, shape, "m", value)
     given = None if isinstance(value, str) else floats(value)
     if given is not None and given.shape == () and given == 0:
         given = np.zeros(shape)
     if given is None or given.shape != shape or not np.isfinite(given).all():
         raise ParameterError(f"value = {shown(value)} must be {what} (m), finite")
-    return own_constant(boundary.points.grid, given)
+    prescribed = own_constant(boundary.points.grid, given)
+    return share * prescribed if np.any(given) else prescribed

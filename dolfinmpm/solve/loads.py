@@ -132,14 +132,14 @@ class Loads:
         values = [
             f"{load_name(item)} = {item.value}"
             for item in self.items
-            if isinstance(item, fem.Constant)
+            if isinstance(item, fem.Constant) and not is_own(item)
         ]
         return "constants " + ", ".join(values) if values else "no constants"
 
 
 def loads_of(items: Iterable[Any]) -> list[Any]:
-    """Constants and functions of a form, without the library's own."""
-    return [item for item in items if not is_own(item)]
+    """Constants and functions of a form, without the library's own that do not change."""
+    return [item for item in items if not is_own(item) or reached(item) is not None]
 
 
 def load_name(item: Any) -> str:
