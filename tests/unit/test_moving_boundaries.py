@@ -69,7 +69,7 @@ def test_the_first_step_brings_about_a_displacement_that_is_given_as_a_number(gi
 
 def test_parts_of_a_step_take_parts_of_a_displacement_that_is_given_as_a_number():
     """A step that does not converge is halved, and its displacement with it."""
-    problem, top, _ = pressed(mpm.QuasiStatic, "penalty", lambda s: (0.0, -1.3), max_iterations=2)
+    problem, top, _ = pressed(mpm.QuasiStatic, "penalty", lambda s: (0.0, -0.5), max_iterations=1)
     record = problem.step()
     assert record.parts > 1
-    np.testing.assert_allclose(top.markers["x"][:, 1], 1.3, rtol=0, atol=0.01)
+    np.testing.assert_allclose(top.markers["x"][:, 1], 2.1, rtol=0, atol=2e-3)
