@@ -12,6 +12,7 @@ import logging, sys
 import dolfinmpm as mpm
 if "log" in sys.argv:
     logging.basicConfig(format="logged: %(message)s")
+    logging.captureWarnings(True)
 mpm.materials.MohrCoulomb(1e6, 0.3, cohesion=0.0, friction_angle=0.6)
 print(logging.getLogger("py.warnings").handlers)
 """
@@ -24,7 +25,7 @@ def test_a_script_shows_a_warning_once_at_its_line(tmp_path, how):
     command = [sys.executable, str(script), how]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     assert run.stderr.count("DegreesWarning: ") == 1
-    assert f"{script}:5: " in run.stderr
+    assert f"{script}:6: " in run.stderr
     assert run.stderr.startswith("logged: ") == (how == "log")
 
 
