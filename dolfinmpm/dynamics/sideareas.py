@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
@@ -24,8 +25,20 @@ from dolfinmpm.dynamics.groundcolumn import integrals_within
 __all__ = ["CoveredSide", "areas", "at_independent", "radii"]
 
 Array = npt.NDArray[np.float64]
-# Domains that turn and shear leave small gaps: a cell with this share is full.
-_FULL = 0.95
+# Domains that turn and shear leave small gaps, and those of a mesh do not tile it. A cell with the
+# share _FULL is full, and so is a cell between others with at least the share _SOME.
+_FULL, _SOME = 0.95, 1e-6
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _beside(x, half, axis, low, high):
+    """Rows of the domains that reach into a layer. Few do, and each step asks."""
+    rows, count = np.empty(len(x), np.intp), 0
+    for p in range(len(x)):
+        if x[p, axis] + half[p, axis] > low and x[p, axis] - half[p, axis] < high:
+            rows[count] = p
+            count += 1
+    return rows[:count].copy()
 
 
 def _overlapping(
@@ -54,6 +67,16 @@ def _overlapping(
             part = part * np.where(first[:, k] + shift[k] == i, np.maximum(length, 0.0), 0.0)
             at.append(i)
         np.add.at(out, tuple(at), part)
+    return out
+
+
+def _between(covered: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Mask of the covered cells whose neighbours in all directions are covered, too."""
+    out = covered.copy()
+    for k in range(covered.ndim):
+        beyond = np.pad(covered, [(int(i == k),) * 2 for i in range(covered.ndim)])
+        n = covered.shape[k]
+        out &= beyond.take(range(n), axis=k) & beyond.take(range(2, n + 2), axis=k)
     return out
 
 
@@ -86,7 +109,7 @@ class CoveredSide:
         """
         read, (low, high) = points.fields.read, self._layer
         x, half, axis = read("x"), read("l"), self._axis
-        near = (x[:, axis] + half[:, axis] > low) & (x[:, axis] - half[:, axis] < high)
+        near = _beside(x, half, axis, low, high)
         x, half, full, V0 = x[near], half[near], read("l0")[near], read("V0")[near]
         if points.axisymmetric:
             V0 = V0 / (2 * np.pi * read("x0")[near, 0])
@@ -111,7 +134,7 @@ class CoveredSide:
         for k, cells in self._repeated.items():
             # wherever its period is, it covers the whole side
             found = np.broadcast_to(found.sum(axis=k, keepdims=True) / cells, found.shape)
-        return np.where(found > _FULL, 1.0, found)
+        return np.where((found > _FULL) | _between(found > _SOME), 1.0, found)
 
     def areas(self, shares: Array, nodes: npt.NDArray[np.intp]) -> Array:
         """Integrals of the nodes' functions over the covered part of the side (m^(d-1)).

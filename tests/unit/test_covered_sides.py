@@ -86,6 +86,19 @@ def test_dashpots_have_the_area_of_the_body(basis):
     assert whole == pytest.approx(10.0 * 16.0, rel=1e-12)
 
 
+def test_domains_that_do_not_tile_the_body_cover_it():
+    """Points of a mesh have domains with gaps and overlaps."""
+    grid = mpm.create_lattice(COMM, [np.arange(9.0), np.arange(9.0)])
+    V = mpm.Space(grid, "gimp")
+    x, y = np.meshgrid(0.35 + 0.7 * np.arange(10), 0.2 + 0.4 * np.arange(5))
+    place = np.column_stack([x.ravel(), y.ravel()])
+    points = mpm.MaterialPoints.from_arrays(grid, place, 0.28, 1.0)
+    faces = Faces(mpm.absorbing(V, "bottom", density=1.0, p_speed=1.0), V.basis, 2)
+    assert faces.cover(points)
+    area = COMM.allreduce(faces.dashpots[: V.basis.nodes.owned, 1].sum())
+    assert area == pytest.approx(7.0, rel=0.02)
+
+
 @pytest.mark.parametrize("moved", [0.0, 0.5])
 def test_ground_that_repeats_itself_covers_the_whole_side(moved):
     grid = mpm.create_lattice(COMM, [np.arange(7.0), np.arange(5.0), np.arange(5.0)])
