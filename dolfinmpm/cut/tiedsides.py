@@ -104,11 +104,12 @@ class TiedSides:
         cells: Number of cells of the grid along the axis.
 
     Attributes:
+        axis, count: The arguments.
         layers: Layers of cells around a rank's own cells that the constraints need.
     """
 
     def __init__(self, axis: int, count: int, cells: int):
-        self._axis, self._count, self.layers = axis, count, cells
+        self.axis, self.count, self.layers = axis, count, cells
 
     def __call__(self, stencils: Any, nodes: npt.NDArray[np.int32]) -> Any:
         """Not in use: the constraints need the basis, see `of_basis`."""
@@ -129,18 +130,18 @@ class TiedSides:
         from scipy import sparse
 
         ijk = basis.halo.node_ijk[nodes].astype(np.int64)
-        along = ijk[:, self._axis]
-        last = basis.lattice.shape[self._axis] + basis.degree - 1
+        along = ijk[:, self.axis]
+        last = basis.lattice.shape[self.axis] + basis.degree - 1
         free = max(basis.degree - 1, 0)
         error = None
         if nodes.size and (along.min() <= free or along.max() >= last - free):
             error = ParameterError(
                 "tied sides need a free cell beside the body: the body reaches an end of the grid "
-                f"along the axis {self._axis}; add cells there"
+                f"along the axis {self.axis}; add cells there"
             )
         raise_together(basis.grid.comm, error)
-        others = np.delete(ijk, self._axis, axis=1)
-        key = np.column_stack([others, along % self._count])
+        others = np.delete(ijk, self.axis, axis=1)
+        key = np.column_stack([others, along % self.count])
         _, group = np.unique(key, axis=0, return_inverse=True)
         group = group.reshape(-1)
         order = np.lexsort((along, group))

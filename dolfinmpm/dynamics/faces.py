@@ -125,7 +125,8 @@ def absorbing(
     """Sides of the grid with dashpots that let waves out, and waves in. Collective.
 
     The tractions are −ρ c_p v_n and −ρ c_s v_t. They absorb waves at normal incidence completely
-    (Lysmer & Kuhlemeyer 1969, J. Eng. Mech. Div. ASCE 95, 859).
+    (Lysmer & Kuhlemeyer 1969, J. Eng. Mech. Div. ASCE 95, 859). They act on the part of a side that
+    the body covers at the start of a step: on the domains of the points in the cells beside it.
 
     Args:
         space: Space of the displacement, on a rectangular grid.

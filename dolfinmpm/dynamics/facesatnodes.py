@@ -16,14 +16,15 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.basis import LatticeBasis, LeafBasis
-from dolfinmpm.basis.bspline import integrals, middles
+from dolfinmpm.basis import LeafBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.essentialconditions import nodes_at_side, renumbered
-from dolfinmpm.dynamics.groundcolumn import ColumnAtSide, integrals_within
+from dolfinmpm.cut.tiedsides import TiedSides
+from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks
+from dolfinmpm.dynamics.sideareas import CoveredSide, areas, at_independent, radii
 from dolfinmpm.grid.userfunctions import VelocityByTime
 from dolfinmpm.solve.step import Step
 
@@ -67,6 +68,7 @@ class Sides:
         faces: The faces.
         points: Material points on which the faces act.
         conditions: Essential conditions of the problem.
+        prolongation: The argument of the problem.
 
     Raises:
         ParameterError: A condition constrains all nodes of a face in a direction of its damping.
@@ -74,8 +76,9 @@ class Sides:
     """
 
     def __init__(
-        self, faces: Sequence[Any], points: MaterialPoints, conditions: Sequence[Condition] = ()
-    ):
+        self, faces: Sequence[Any], points: MaterialPoints, conditions: Sequence[Condition] = (),
+        prolongation: Any = None,
+    ):  # fmt: skip
         for k, face in enumerate(faces):
             others = {other.kind for other in faces[:k] if face.same_as(other)}
             if others:
@@ -85,7 +88,8 @@ class Sides:
                     "act: leave one out"
                 )
             _refuse_idle(face, conditions)
-        self._faces, self._d, self._axisymmetric = list(faces), points.gdim, points.axisymmetric
+        self._faces, self._points = list(faces), points
+        self._tied = prolongation if isinstance(prolongation, TiedSides) else None
         self._box: Array = np.zeros((2, points.gdim))
         if has_columns(faces):
             self._box = _ends(points)
@@ -109,20 +113,23 @@ class Sides:
         """Discard areas that depend on the old grid lines."""
         self._on.clear()
 
-    def on(self, basis: Any, step: Step | None = None) -> Faces | None:
+    def on(self, basis: Any, step: Step | None = None, C: Any = None) -> Faces | None:
         """The faces in a basis's numbering, or None without faces. The first call is collective.
 
         Args:
             basis: The basis.
-            step: A step that begins, or None within a step.
+            step: A step that begins, which is collective, or None within a step.
+            C: For a step that begins: matrix from the independent nodes to all nodes, or None.
         """
         if not self._faces:
             return None
         if basis not in self._on:
-            own = self._d, self._axisymmetric, self._box
-            self._on[basis] = Faces(self._faces, basis, *own)
+            own = self._points.gdim, self._points.axisymmetric, self._box
+            repeated = {} if self._tied is None else {self._tied.axis: self._tied.count}
+            self._on[basis] = Faces(self._faces, basis, *own, repeated)
         if step is not None:
-            self._on[basis].begin(step)
+            # nodes of tied sides have whole areas, whichever of them is independent
+            self._on[basis].begin(step, self._points, C if self._tied is None else None)
         return self._on[basis]
 
 
@@ -161,6 +168,7 @@ class Faces:
         d: Dimension of space.
         axisymmetric: Whether points and faces are axisymmetric.
         box: Ends of the body at the start (m), shape (2, d), for columns beside it.
+        repeated: Cells in a period of the body, by direction in which it repeats itself.
 
     Attributes:
         dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
@@ -168,15 +176,17 @@ class Faces:
 
     def __init__(
         self, faces: Sequence[Any], basis: Any, d: int, axisymmetric: bool = False,
-        box: Array | None = None,
+        box: Array | None = None, repeated: Mapping[int, int] | None = None,
     ):  # fmt: skip
         self._d, self._basis, self._axisymmetric = d, basis, axisymmetric
         self._frictional: list[tuple[Nodes, int, float, float]] = []
         self._absorbing: list[tuple[Any, Nodes]] = []
         self.dashpots: Array | None = None
-        # nodes, direction, dashpots and velocity of each wave
-        self._waves: list[tuple[Nodes, int, Array, VelocityByTime]] = []
+        # direction, dashpots at all nodes and velocity of each wave
+        self._waves: list[tuple[int, Array, VelocityByTime]] = []
         self._columns: list[tuple[int, int, ColumnAtSide]] = []
+        self._covered: list[CoveredSide] = []
+        self._shares: list[Array | None] = []
         for face in faces:
             nodes = _nodes(face, basis)
             if face.friction is not None:
@@ -184,6 +194,8 @@ class Faces:
                 self._frictional.append((nodes, face.axis, outward, face.friction))
             if face.impedance is not None:
                 self._absorbing.append((face, nodes))
+                self._covered.append(CoveredSide(basis, face.axis, face.end, repeated or {}))
+                self._shares.append(None)
             if face.column is not None:
                 assert box is not None
                 column = ColumnAtSide(face.column, basis, face.axis, face.end, box)
@@ -192,11 +204,15 @@ class Faces:
 
     def _damp(self, within: dict[int, tuple[float, float]]) -> None:
         """Compute dashpots and waves of absorbing faces; see `areas` for the argument."""
+        size = self._basis.nodes.size
         if self._absorbing or self._columns:
-            self.dashpots = np.zeros((self._basis.nodes.size, self._d))
+            self.dashpots = np.zeros((size, self._d))
         self._waves.clear()
-        for face, nodes in self._absorbing:
-            area = areas(self._basis, nodes, face.axis, within)
+        for (face, nodes), side, shares in zip(self._absorbing, self._covered, self._shares):
+            if shares is None:
+                area = areas(self._basis, nodes, face.axis, within)
+            else:
+                area = side.areas(shares, nodes)
             if self._axisymmetric:
                 area = ring(radii(self._basis, nodes, face.axis, face.end), area)
             for k in range(self._d):
@@ -204,7 +220,9 @@ class Faces:
                 assert self.dashpots is not None
                 self.dashpots[nodes, k] += rate * area
                 if face.incoming is not None and face.incoming[k] is not None:
-                    self._waves.append((nodes, k, rate * area, face.incoming[k]))
+                    c = np.zeros(size)
+                    c[nodes] = rate * area
+                    self._waves.append((k, c, face.incoming[k]))
 
     @property
     def incoming(self) -> bool:
@@ -214,22 +232,54 @@ class Faces:
     def wave_forces(self, t: float) -> Array:
         """Forces 2 c v_up of the waves, and of columns, at time t (N), shape (nodes, d)."""
         out = np.zeros((self._basis.nodes.size, self._d))
-        for nodes, k, c, wave in self._waves:
-            out[nodes, k] += 2.0 * c * wave(t)
+        for k, c, wave in self._waves:
+            out[:, k] += 2.0 * c * wave(t)
         for _, _, column in self._columns:
             nodes, pushes = column.forces(t)
             out[nodes] += pushes
         return out
 
-    def begin(self, step: Step) -> None:
-        """Begin a step: check what it misses of waves, and move sides beside columns of ground.
+    def cover(self, points: MaterialPoints, C: Any = None) -> bool:
+        """Give dashpots to what the body covers of absorbing faces. Collective.
 
-        Other sides then end where the ground beside them begins.
+        Args:
+            points: Material points.
+            C: Matrix from the independent nodes to all nodes, or None.
+
+        Returns:
+            Whether dashpots have changed.
+        """
+        if self._d == 1 or not self._absorbing:
+            return False
+        shares = [side.shares(points) for side in self._covered]
+        same = all(map(_equal, shares, self._shares))
+        if C is None and same:
+            return False
+        self._shares = shares
+        self._damp({})
+        if C is not None:
+            assert self.dashpots is not None
+            self.dashpots = at_independent(self.dashpots, self._basis, C)
+            self._waves = [
+                (k, at_independent(c[:, None], self._basis, C)[:, 0], wave)
+                for k, c, wave in self._waves
+            ]
+        return True
+
+    def begin(self, step: Step, points: MaterialPoints, C: Any = None) -> None:
+        """Begin a step: find what the body covers, check what it misses of waves. Collective.
+
+        Sides beside columns of ground move. Other sides then end where that ground begins.
+
+        Args:
+            step: The step.
+            points, C: See `cover`.
         """
         start = step.start
-        for _, _, _, wave in self._waves:
+        for _, _, wave in self._waves:
             wave.check_step(start, step.t)
         if not self._columns:
+            self.cover(points, C)
             return
         within = {}
         for axis in {axis for axis, _, _ in self._columns}:
@@ -319,41 +369,6 @@ class Faces:
                 mapped[rows, k] *= left
 
 
-def radii(basis: LatticeBasis, nodes: npt.NDArray[np.intp], axis: int, end: int) -> Array:
-    """Radii of the centroids of the nodes' functions on a side (m), of an axisymmetric grid.
-
-    Args:
-        basis: The basis.
-        nodes: Nodes on the side, shape (n,).
-        axis, end: Direction of the side's normal, and 0 for the lower or 1 for the upper end.
-    """
-    line = basis.lattice.lines[0]
-    if axis == 0:
-        return np.full(nodes.size, line[-1 if end else 0])
-    return middles(line, basis.degree)[basis.halo.node_ijk[nodes, 0]]
-
-
-def areas(
-    basis: LatticeBasis,
-    nodes: npt.NDArray[np.intp],
-    axis: int,
-    within: Mapping[int, tuple[float, float]] | None = None,
-) -> Array:
-    """Integrals of the nodes' functions over a side (m^(d-1)).
-
-    Args:
-        basis: The basis.
-        nodes: Nodes on the side, shape (n,).
-        axis: Direction of the side's normal.
-        within: Ends of the part of the side that counts (m), by direction; else the whole side.
-    """
-    area = np.ones(nodes.size)
-    for k, line in enumerate(basis.lattice.lines):
-        if k == axis:
-            continue
-        if within and k in within:
-            whole = integrals_within(line, basis.degree, *within[k])
-        else:
-            whole = integrals(line, basis.degree)
-        area *= whole[basis.halo.node_ijk[nodes, k]]
-    return area
+def _equal(a: Array | None, b: Array | None) -> bool:
+    """Whether two sides have the same shares of cells."""
+    return a is b if a is None or b is None else bool(np.array_equal(a, b))

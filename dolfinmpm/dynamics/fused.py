@@ -308,6 +308,7 @@ class FusedSteps:
         self, others, main: Pass, step: ExplicitStep, record: bool, scatter: bool
     ) -> str | None:
         """Take one step from the nodal sums. Collective."""
+        self._window.cover(self._points)
         before = self.done.copy()
         reason = self._passes(others, main, step, record, scatter)
         if record:

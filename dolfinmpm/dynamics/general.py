@@ -311,7 +311,7 @@ class GeneralSteps(ExplicitBase):
         """
         V, A = motion
         V_end = V + step.kick * A
-        faces = self.sides.on(here.fields[0].basis, step)
+        faces = self.sides.on(here.fields[0].basis, step, here.fields[0].C)
         fixed = here.unknowns.fields[0].fixed
         if faces is not None and faces.dashpots is not None:
             V_end[fixed] = prescribed[fixed]

@@ -107,7 +107,7 @@ class GridMotion:
         """
         start, self._step = None, step
         for k in here.movers:
-            self._sides.on(here.fields[k].basis, step)
+            self._sides.on(here.fields[k].basis, step, here.fields[k].C)
         self.boundary_forces = None
         if self._starting or self.rule.by_forces or form.boundaries:
             plain = Operator(form, here)

@@ -108,7 +108,7 @@ class TimeStepping(MovingBody, QuasiStatic):
         refuse_constraints(faces, self.fields)
         if faces:
             refuse_field_tags(self.fields, "a face of the grid", "hold the sides with conditions")
-        sides = Sides(faces, points, self.bcs)
+        sides = Sides(faces, points, self.bcs, options.get("prolongation"))
         ledger = Ledger(points, self.form, self.bodies)
         scheme.motion = GridMotion(points, rule, chosen, terms, sides, ledger)
         check_masses(self.bodies)

@@ -170,8 +170,8 @@ class Window:
         )  # fmt: skip
         self.place = np.full(basis.nodes.size, -1)
         self.place[self._known] = self._at
-        faces = sides.on(basis) or Faces((), basis, points.gdim)
-        self.sides = faces.by_nodes(self.place, len(self.nodes))
+        self._faces = sides.on(basis) or Faces((), basis, points.gdim)
+        self.sides = self._faces.by_nodes(self.place, len(self.nodes))
         self.cells = CellFinder(basis)
 
     def exchange(self, width: int) -> Exchange | None:
@@ -199,6 +199,13 @@ class Window:
         return np.flatnonzero(inside), np.ravel_multi_index(
             tuple(ijk[inside].T), tuple(self._shape)
         )
+
+    def cover(self, points: MaterialPoints) -> None:
+        """Give dashpots to what the body covers of absorbing sides. Collective."""
+        if self._faces.cover(points):
+            known = self.place >= 0
+            assert self._faces.dashpots is not None
+            self.sides[2][self.place[known]] = self._faces.dashpots[known]
 
     def box(self, points: MaterialPoints) -> None:
         """Find the nodes that points may reach before they change rank, see `MARGIN`."""

@@ -146,6 +146,7 @@ CASES = {
         substructures.steps_in_parts,
         substructures.rows_of_all_ranks,
         shaking.shaking,
+        shaking.covered_sides,
         shaking.free_fields,
     )
 }

@@ -48,6 +48,32 @@ def shaking():
     }
 
 
+def covered_sides():
+    """Narrow bodies at wide absorbing sides, in cut cells; one moves along the side."""
+    figures = {}
+    ways = {
+        "newmark": functools.partial(mpm.Newmark, tolerance=1e-12),
+        "explicit": mpm.Explicit,
+        "general": functools.partial(mpm.Explicit, fused=False),
+    }
+    for name, kind in ways.items():
+        grid = mpm.create_lattice(COMM, [np.arange(9.0), np.arange(11.0)])
+        points = mpm.fill(grid, mpm.Box((0, 2.25), (8, 4.75)), 2, 2000.0)
+        V = mpm.Space(grid, "gimp")
+        F = hencky(points, V, ghost=False, E=2e8)
+        bcs = mpm.absorbing(V, "left", density=2000.0, p_speed=360.0, s_speed=200.0)
+        problem = kind(F, V.increment, points, bcs)
+        points["velocity"] = (-1.0, 20.0)
+        for t in mpm.times(0.08, dt=4e-3):
+            problem.step(t)
+        now = problem.energies()
+        figures[name] = {
+            "energies": [now.kinetic, now.strain, now.losses["damping"]],
+            **sums(points, "x", "stress", "velocity"),
+        }
+    return figures
+
+
 def free_fields():
     """A layer with a hill between free-field sides, in 2D and in 3D, with incoming waves."""
     record = mpm.InputMotion([0.0, 0.02, 0.06, 0.1], velocity=[0.0, 0.1, -0.1, 0.0])
