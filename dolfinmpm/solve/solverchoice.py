@@ -19,8 +19,10 @@ _OF_METHOD = ("ksp_type", "pc_type", "pc_factor_mat_solver_type")
 
 # Up to this number of iterations per solution, the other method is not tried
 _FEW = 50
-# Number of attached matrices before the other method is tried again, at first and at most
+# Number of attached matrices before the other method is tried again, at first and at most. A first
+# failure tells little: a body that comes to rest has soft parts that do not stay.
 _FIRST, _MOST = 8, 128
+_AFTER_FAILURE = 2
 
 
 class IncompleteFactorsChoice:
@@ -42,6 +44,8 @@ class IncompleteFactorsChoice:
         self._cost = {True: math.nan, False: math.nan}
         # attached matrices before the other method is tried, now and the next time
         self._wait, self._next = 0, _FIRST
+        # the same after the next failure
+        self._doubted = _AFTER_FAILURE
 
     def weigh(self, cost: float, iterations: float) -> None:
         """Choose the method by the cost of the last solutions.
@@ -68,7 +72,7 @@ class IncompleteFactorsChoice:
     def failed(self) -> None:
         """Leave incomplete factors out after a failure."""
         self.incomplete, self._cost[True] = False, math.inf
-        self._wait, self._next = self._next, min(2 * self._next, _MOST)
+        self._wait, self._doubted = self._doubted, min(2 * self._doubted, _MOST)
 
 
 @dataclass
