@@ -31,8 +31,8 @@ class IncompleteFactorsChoice:
     Incomplete factors are cheap if inertia or near supports make iterations few. Otherwise
     iterations are too many. Incomplete factors are tried first. After many iterations, the other
     method is tried. From then on the method with the smaller cost per solution is taken, set-up
-    included. The other method is tried again from time to time. A method that fails is left out,
-    for longer each time.
+    included. The other method is tried again from time to time. Incomplete factors that fail are
+    left out, for longer after each failure in a row.
 
     Attributes:
         incomplete: Whether incomplete factors precondition at present.
@@ -44,7 +44,7 @@ class IncompleteFactorsChoice:
         self._cost = {True: math.nan, False: math.nan}
         # attached matrices before the other method is tried, now and the next time
         self._wait, self._next = 0, _FIRST
-        # the same after the next failure
+        # the same after the next failure of incomplete factors
         self._doubted = _AFTER_FAILURE
 
     def weigh(self, cost: float, iterations: float) -> None:
@@ -56,6 +56,8 @@ class IncompleteFactorsChoice:
         """
         present = self.incomplete
         self._cost[present] = cost
+        if present:
+            self._doubted = _AFTER_FAILURE
         if present and iterations <= _FEW:
             return
         mine, other = self._cost[present], self._cost[not present]

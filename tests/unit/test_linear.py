@@ -247,6 +247,11 @@ def test_incomplete_factors_that_failed_wait_for_longer_each_time():
             choice.weigh(1.0, 1.0)
             waits[-1] += 1
     assert waits == [2, 4, 8, 16, 32, 64]
+    # after a step in which they served, a failure counts as the first one
+    choice.weigh(1.0, 12.0)
+    choice.failed()
+    turns = [choice.incomplete for _ in range(2) if choice.weigh(1.0, 1.0) is None]
+    assert turns == [False, True]
 
 
 def test_iterations_that_failed_wait_for_longer_each_time():
