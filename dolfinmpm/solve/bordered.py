@@ -14,7 +14,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm.solve.newton import ConvergenceTest, Newton, Outcome, name_of
+from dolfinmpm.solve.convergencetest import ConvergenceTest
+from dolfinmpm.solve.newton import Newton, Outcome, name_of
 from dolfinmpm.solve.operator import Operator, Residual
 
 __all__ = ["Border", "Bordered"]

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.compat import DIVERGED_NAN
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.location import bounds
+from dolfinmpm.solve.convergencetest import ConvergenceTest
 from dolfinmpm.solve.fieldbalance import others_balanced, references
 from dolfinmpm.solve.initialguess import InitialGuess
 from dolfinmpm.solve.linearsolver import LinearSolver
@@ -24,7 +24,7 @@ from dolfinmpm.solve.operator import Operator, Residual
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.secants import Secants
 
-__all__ = ["ConvergenceTest", "Newton", "Outcome", "Solver", "name_of"]
+__all__ = ["Newton", "Outcome", "Solver", "name_of"]
 
 Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
@@ -51,79 +51,6 @@ class Outcome:
     x: Array = field(default_factory=lambda: np.empty(0))
     iterations: int = 0
     residuals: list[float] = field(default_factory=list)
-
-
-class ConvergenceTest:
-    """Convergence criterion of Newton's method: the relative out-of-balance force.
-
-    Args:
-        tolerance: Bound of the relative out-of-balance force.
-        max_iterations: Iterations allowed.
-
-    Attributes:
-        residuals: Relative out-of-balance forces so far.
-        motion: Norm of the forces that prescribed motions alone would make.
-        predicted: Whether a linear step was taken first, so that a tangent is known.
-        guessed: Whether the iterations start from increments that no linear step made.
-        rounded: Whether the last change of the increments was lost in the rounding of positions.
-    """
-
-    def __init__(self, tolerance: float, max_iterations: int):
-        self.tolerance, self.max_iterations = tolerance, max_iterations
-        self.residuals: list[float] = []
-        self.motion, self.predicted, self.guessed = 0.0, False, False
-        self.rounded = False
-        self._first = 0.0
-
-    @property
-    def stalls(self) -> bool:
-        """Whether the last four iterations have not halved the least forces before them."""
-        return len(self.residuals) > 4 and self.residuals[-1] > 0.5 * min(self.residuals[:-4])
-
-    @property
-    def fulfilled(self) -> bool:
-        """Whether the last forces were in balance, or as close to it as rounding allows."""
-        balanced = bool(self.residuals) and self.residuals[-1] <= self.tolerance
-        return balanced or self.rounded
-
-    def test(
-        self,
-        norm: float,
-        reference: float,
-        iteration: int,
-        by_field: Array | None = None,
-        once_more: bool = False,
-    ) -> int:
-        """Reason of SNES to continue or to end.
-
-        Args:
-            norm: Norm of the out-of-balance force.
-            reference: Norm of external forces and reactions.
-            iteration: Number of the iteration, from 0.
-            by_field: Norm and reference per field, shape (fields, 2), because units differ between
-                fields. None for a single field, or before the references are known.
-            once_more: Whether iterations from a guess go on once more if the forces are in balance
-                only relative to those at zero increments. Supports that are much stiffer than the
-                soil make these much larger than loads and reactions. From zero increments, the last
-                iteration leaves much less than the tolerance, because it converges quadratically.
-                A guess may be so close that it does not.
-        """
-        if not math.isfinite(norm):
-            return DIVERGED_NAN
-        if iteration == 0 and not self.guessed:
-            self._first = norm
-        strict = norm <= self.tolerance * reference
-        # an unloaded body has no loads and reactions to compare with at the end
-        reference = max(reference, self._first, self.motion)
-        relative = norm / reference if reference else 0.0
-        for one, own in by_field if by_field is not None else ():
-            relative = max(relative, one / own if own else 0.0)
-        entered = not self.residuals or self.residuals[-1] > self.tolerance
-        self.residuals.append(float(relative))
-        if relative <= self.tolerance:
-            loose = self.guessed and once_more and entered and not strict
-            return Reason.ITERATING if loose else Reason.CONVERGED_FNORM_RELATIVE
-        return Reason.DIVERGED_MAX_IT if iteration >= self.max_iterations else Reason.ITERATING
 
 
 class Solver(Protocol):
@@ -226,18 +153,30 @@ class Newton:
         rigid = any(contact.pushes for contact in operator.contacts)
         return rigid and bool(self.searches) and displacements
 
-    def _attempt(self, operator: Operator, outcome: Outcome, guess: Array | None = None) -> None:
-        """One run of SNES, from a guess of the unknowns or from zero. Collective."""
+    def _attempt(
+        self,
+        operator: Operator,
+        outcome: Outcome,
+        guess: Array | None = None,
+        reached: ConvergenceTest | None = None,
+    ) -> None:
+        """One run of SNES, from a guess of the unknowns or from zero. Collective.
+
+        If the linear solver fails, another one goes on with the unknowns that were `reached`.
+        """
         unknowns, linear = operator.here.unknowns, self.linear
-        balance = ConvergenceTest(self.tolerance, self.max_iterations)
+        balance = reached or ConvergenceTest(self.tolerance, self.max_iterations)
         outcome.residuals, outcome.reason = balance.residuals, None
-        outcome.x = np.zeros(unknowns.owned)
+        if reached is None:
+            outcome.x = np.zeros(unknowns.owned)
         if unknowns.total == 0:
             operator.move(outcome.x)
             return
         try:
             linear.attach(operator)
-            if operator.here.driven and guess is None:
+            if reached is not None:
+                balance.resume()
+            elif operator.here.driven and guess is None:
                 outcome.x = self._predict(operator, balance)
                 outcome.iterations += 1
             elif guess is not None:
@@ -258,7 +197,7 @@ class Newton:
         outcome.iterations += snes.getIterationNumber()
         if reason == Reason.DIVERGED_LINEAR_SOLVE:
             if linear.enlarge() or linear.relax():
-                self._attempt(operator, outcome, guess)
+                self._attempt(operator, outcome, guess, balance)
                 return
             # factors that failed fail again with any matrix: the next solution needs new ones
             linear.forget()
@@ -313,7 +252,7 @@ class Newton:
                 by_field = references(operator, matrix.petsc, snes.getSolution(), now.by_field)
                 smallest = float(by_field[:, 1].min())
             reason = balance.test(norms[2], now.reference, iteration, by_field, not contact)
-            if balance.guessed and iteration == 0:
+            if balance.guessed and iteration == 0 and not balance.resumed:
                 if not norms[2] < InitialGuess.allowed_share(contact) * balance.motion:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent

@@ -19,8 +19,10 @@ _OF_METHOD = ("ksp_type", "pc_type", "pc_factor_mat_solver_type")
 
 # Up to this number of iterations per solution, the other method is not tried
 _FEW = 50
-# Number of attached matrices before the other method is tried again, at first and at most
+# Number of attached matrices before the other method is tried again, at first and at most. A first
+# failure tells little: a body that comes to rest has soft parts that do not stay.
 _FIRST, _MOST = 8, 128
+_AFTER_FAILURE = 2
 
 
 class IncompleteFactorsChoice:
@@ -29,8 +31,8 @@ class IncompleteFactorsChoice:
     Incomplete factors are cheap if inertia or near supports make iterations few. Otherwise
     iterations are too many. Incomplete factors are tried first. After many iterations, the other
     method is tried. From then on the method with the smaller cost per solution is taken, set-up
-    included. The other method is tried again from time to time. A method that fails is left out,
-    for longer each time.
+    included. The other method is tried again from time to time. Incomplete factors that fail are
+    left out, for longer after each failure in a row.
 
     Attributes:
         incomplete: Whether incomplete factors precondition at present.
@@ -42,6 +44,8 @@ class IncompleteFactorsChoice:
         self._cost = {True: math.nan, False: math.nan}
         # attached matrices before the other method is tried, now and the next time
         self._wait, self._next = 0, _FIRST
+        # the same after the next failure of incomplete factors
+        self._doubted = _AFTER_FAILURE
 
     def weigh(self, cost: float, iterations: float) -> None:
         """Choose the method by the cost of the last solutions.
@@ -52,6 +56,8 @@ class IncompleteFactorsChoice:
         """
         present = self.incomplete
         self._cost[present] = cost
+        if present:
+            self._doubted = _AFTER_FAILURE
         if present and iterations <= _FEW:
             return
         mine, other = self._cost[present], self._cost[not present]
@@ -68,7 +74,7 @@ class IncompleteFactorsChoice:
     def failed(self) -> None:
         """Leave incomplete factors out after a failure."""
         self.incomplete, self._cost[True] = False, math.inf
-        self._wait, self._next = self._next, min(2 * self._next, _MOST)
+        self._wait, self._doubted = self._doubted, min(2 * self._doubted, _MOST)
 
 
 @dataclass

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm.solve import krylov, method
+from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.method import SUBSTRUCTURES, Tangent, choose
 from dolfinmpm.solve.schur import schur_matrix
 from dolfinmpm.solve.solverchoice import IncompleteFactorsChoice, MethodChoice
@@ -189,6 +190,29 @@ def test_incomplete_factors_find_what_factors_find(monkeypatch, most):
     np.testing.assert_allclose(u, w, atol=1e-7 * np.abs(w).max())
 
 
+def test_another_solver_goes_on_where_one_failed(monkeypatch):
+    """No iteration is made twice, and the forces are compared with those at the first one."""
+    monkeypatch.setattr(method, "_KEPT", {1: 10**9, 2: 20, 3: 20})
+    prepare, count = LinearSolver.assembled, 0
+
+    def fails_once(self, *norms):
+        nonlocal count
+        count += 1
+        prepare(self, *norms)
+        if count == 3:
+            assert self.method.incomplete
+            self._ksp.setTolerances(max_it=1)
+
+    whole = sand()
+    assert chosen(whole)[1] == "ilu"
+    monkeypatch.setattr(LinearSolver, "assembled", fails_once)
+    problem = sand()
+    assert chosen(problem)[1] == "lu"
+    one, other = problem.history[0], whole.history[0]
+    assert one.iterations == len(one.residuals) - 1 == other.iterations
+    np.testing.assert_allclose(one.residuals[:4], other.residuals[:4], rtol=1e-3)
+
+
 @pytest.mark.parametrize("options", [{"pc_type": "lu"}, {"ksp_type": "preonly"}])
 def test_what_a_user_chooses_has_no_rival(monkeypatch, options):
     monkeypatch.setattr(method, "_KEPT", {1: 10**9, 2: 20, 3: 20})
@@ -222,7 +246,12 @@ def test_incomplete_factors_that_failed_wait_for_longer_each_time():
         while not choice.incomplete:
             choice.weigh(1.0, 1.0)
             waits[-1] += 1
-    assert waits == [8, 16, 32, 64, 128, 128]
+    assert waits == [2, 4, 8, 16, 32, 64]
+    # after a step in which they served, a failure counts as the first one
+    choice.weigh(1.0, 12.0)
+    choice.failed()
+    turns = [choice.incomplete for _ in range(2) if choice.weigh(1.0, 1.0) is None]
+    assert turns == [False, True]
 
 
 def test_iterations_that_failed_wait_for_longer_each_time():

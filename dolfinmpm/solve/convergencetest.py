@@ -1,0 +1,95 @@
+"""When Newton's method ends: the relative out-of-balance force of its iterations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from dolfinmpm._platform.compat import DIVERGED_NAN
+
+__all__ = ["ConvergenceTest"]
+
+Array = npt.NDArray[np.float64]
+Reason = PETSc.SNES.ConvergedReason
+
+
+class ConvergenceTest:
+    """Convergence criterion of Newton's method: the relative out-of-balance force.
+
+    Args:
+        tolerance: Bound of the relative out-of-balance force.
+        max_iterations: Iterations allowed.
+
+    Attributes:
+        residuals: Relative out-of-balance forces so far.
+        motion: Norm of the forces that prescribed motions alone would make.
+        predicted: Whether a linear step was taken first, so that a tangent is known.
+        guessed: Whether the iterations start from increments that no linear step made.
+        resumed: Whether SNES begins again with the increments that it had reached.
+        rounded: Whether the last change of the increments was lost in the rounding of positions.
+    """
+
+    def __init__(self, tolerance: float, max_iterations: int):
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.residuals: list[float] = []
+        self.motion, self.predicted, self.guessed = 0.0, False, False
+        self.rounded = self.resumed = False
+        self._first = 0.0
+
+    @property
+    def stalls(self) -> bool:
+        """Whether the last four iterations have not halved the least forces before them."""
+        return len(self.residuals) > 4 and self.residuals[-1] > 0.5 * min(self.residuals[:-4])
+
+    def resume(self) -> None:
+        """Go on with another matrix; SNES measures the last forces once more."""
+        self.resumed, self.predicted = True, False
+        del self.residuals[-1:]
+
+    @property
+    def fulfilled(self) -> bool:
+        """Whether the last forces were in balance, or as close to it as rounding allows."""
+        balanced = bool(self.residuals) and self.residuals[-1] <= self.tolerance
+        return balanced or self.rounded
+
+    def test(
+        self,
+        norm: float,
+        reference: float,
+        iteration: int,
+        by_field: Array | None = None,
+        once_more: bool = False,
+    ) -> int:
+        """Reason of SNES to continue or to end.
+
+        Args:
+            norm: Norm of the out-of-balance force.
+            reference: Norm of external forces and reactions.
+            iteration: Number of the iteration, from 0.
+            by_field: Norm and reference per field, shape (fields, 2), because units differ between
+                fields. None for a single field, or before the references are known.
+            once_more: Whether iterations from a guess go on once more if the forces are in balance
+                only relative to those at zero increments. Supports that are much stiffer than the
+                soil make these much larger than loads and reactions. From zero increments, the last
+                iteration leaves much less than the tolerance, because it converges quadratically.
+                A guess may be so close that it does not.
+        """
+        if not math.isfinite(norm):
+            return DIVERGED_NAN
+        if iteration == 0 and not (self.guessed or self.resumed):
+            self._first = norm
+        strict = norm <= self.tolerance * reference
+        # an unloaded body has no loads and reactions to compare with at the end
+        reference = max(reference, self._first, self.motion)
+        relative = norm / reference if reference else 0.0
+        for one, own in by_field if by_field is not None else ():
+            relative = max(relative, one / own if own else 0.0)
+        entered = not self.residuals or self.residuals[-1] > self.tolerance
+        self.residuals.append(float(relative))
+        if relative <= self.tolerance:
+            loose = self.guessed and once_more and entered and not strict
+            return Reason.ITERATING if loose else Reason.CONVERGED_FNORM_RELATIVE
+        return Reason.DIVERGED_MAX_IT if iteration >= self.max_iterations else Reason.ITERATING
