@@ -40,6 +40,11 @@ class ConvergenceTest:
         self._first = 0.0
 
     @property
+    def made(self) -> int:
+        """Iterations so far, also those before another matrix went on."""
+        return len(self.residuals) - 1
+
+    @property
     def stalls(self) -> bool:
         """Whether the last four iterations have not halved the least forces before them."""
         return len(self.residuals) > 4 and self.residuals[-1] > 0.5 * min(self.residuals[:-4])
@@ -92,4 +97,4 @@ class ConvergenceTest:
         if relative <= self.tolerance:
             loose = self.guessed and once_more and entered and not strict
             return Reason.ITERATING if loose else Reason.CONVERGED_FNORM_RELATIVE
-        return Reason.DIVERGED_MAX_IT if iteration >= self.max_iterations else Reason.ITERATING
+        return Reason.DIVERGED_MAX_IT if self.made >= self.max_iterations else Reason.ITERATING

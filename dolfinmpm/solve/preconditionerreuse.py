@@ -111,8 +111,8 @@ class PreconditionerReuse:
     def distrust(self) -> None:
         """Make new preconditioners for some time, because iterations with an old one failed.
 
-        Newton's method begins again then. If it kept the first new preconditioner, it might fail
-        in the same way for ever.
+        Newton's method goes on from there, and would soon fail in the same way if it kept the first
+        new preconditioner.
         """
         self.renew()
         self._next = min(2 * max(self._next, _FRESH_ONES), 8 * _FRESH_ONES)

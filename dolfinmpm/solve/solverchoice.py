@@ -19,10 +19,8 @@ _OF_METHOD = ("ksp_type", "pc_type", "pc_factor_mat_solver_type")
 
 # Up to this number of iterations per solution, the other method is not tried
 _FEW = 50
-# Number of attached matrices before the other method is tried again, at first and at most. A first
-# failure tells little: a body that comes to rest has soft parts that do not stay.
+# Number of attached matrices before the other method is tried again, at first and at most
 _FIRST, _MOST = 8, 128
-_AFTER_FAILURE = 2
 
 
 class IncompleteFactorsChoice:
@@ -31,8 +29,8 @@ class IncompleteFactorsChoice:
     Incomplete factors are cheap if inertia or near supports make iterations few. Otherwise
     iterations are too many. Incomplete factors are tried first. After many iterations, the other
     method is tried. From then on the method with the smaller cost per solution is taken, set-up
-    included. The other method is tried again from time to time. Incomplete factors that fail are
-    left out, for longer after each failure in a row.
+    included. The other method is tried again from time to time. A method that fails is left out,
+    for longer each time.
 
     Attributes:
         incomplete: Whether incomplete factors precondition at present.
@@ -44,8 +42,6 @@ class IncompleteFactorsChoice:
         self._cost = {True: math.nan, False: math.nan}
         # attached matrices before the other method is tried, now and the next time
         self._wait, self._next = 0, _FIRST
-        # the same after the next failure of incomplete factors
-        self._doubted = _AFTER_FAILURE
 
     def weigh(self, cost: float, iterations: float) -> None:
         """Choose the method by the cost of the last solutions.
@@ -56,8 +52,6 @@ class IncompleteFactorsChoice:
         """
         present = self.incomplete
         self._cost[present] = cost
-        if present:
-            self._doubted = _AFTER_FAILURE
         if present and iterations <= _FEW:
             return
         mine, other = self._cost[present], self._cost[not present]
@@ -74,7 +68,7 @@ class IncompleteFactorsChoice:
     def failed(self) -> None:
         """Leave incomplete factors out after a failure."""
         self.incomplete, self._cost[True] = False, math.inf
-        self._wait, self._doubted = self._doubted, min(2 * self._doubted, _MOST)
+        self._wait, self._next = self._next, min(2 * self._next, _MOST)
 
 
 @dataclass
