@@ -90,7 +90,7 @@ def without_means():
     """No region looks for laws that take means over cells."""
 
     def prepare(self) -> None:
-        self._known.clear()
+        self._current.clear()
 
     return mock.patch.object(region.Region, "prepare", prepare)
 
