@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from scipy import sparse
 
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.groundcolumn import integrals_within
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["CoveredSide", "areas", "at_independent", "radii"]
 
@@ -154,6 +157,9 @@ class CoveredSide:
 
 def _by_cells(line: Array, degree: int) -> sparse.csr_matrix:
     """Integrals of the functions of a direction over each cell (m), shape (functions, cells)."""
+    # most runs have no absorbing side, and need not load it
+    from scipy import sparse
+
     columns = [integrals_within(line, degree, a, b) for a, b in itertools.pairwise(line)]
     return sparse.csr_matrix(np.column_stack(columns))
 
