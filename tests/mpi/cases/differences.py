@@ -68,7 +68,7 @@ def _of_problems(s):
     touch = lambda: mpm.contact(  # noqa: E731
         s.tool, s.points, s.u, s.v, penetration=_last(1e-3, 2e-3)
     )
-    hold = lambda: mpm.dirichlet(side, s.u, s.v, (_last(0.0, 1e-3), 0.0), law=s.law)  # noqa: E731
+    hold = lambda: mpm.dirichlet(side, s.u, s.v, (_last(1e-3, 2e-3), 0.0), law=s.law)  # noqa: E731
     before = lambda e: mpm.carried(s.points, "before", e)  # noqa: E731
     rate = lambda e: (s.u[0] - before(e)) * s.v[0] * s.points.dX  # noqa: E731
     on = mesh.locate_entities_boundary(s.grid, 1, lambda x: np.isclose(x[0], 0.0))
