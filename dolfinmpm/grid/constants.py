@@ -59,7 +59,7 @@ def begin_at_zero(what: str, constant: fem.Constant) -> None:
 
 
 def mark_moving(constant: fem.Constant) -> None:
-    """Mark a constant of which a displacement depends, and which begins at its present value.
+    """Mark a constant on which a displacement depends. It begins at its present value.
 
     In time, such a constant changes evenly over a step. A load may jump at the start of a step.
     """

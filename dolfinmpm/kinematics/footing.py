@@ -15,7 +15,6 @@ from dolfinmpm._platform.argumentchecks import check_kind, number, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm._platform.readonce import ReadOnce
-from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
@@ -31,6 +30,12 @@ Array = npt.NDArray[np.float64]
 # (cubic splines, which bend sharply at a footing's edge: by some per cent on few cells), and
 # the first out-of-balance force, which a step's tolerance is relative to, is not yet all penalty.
 _STIFFNESS = 1e4
+
+
+class FaceMotion(CarriedField):
+    """Motion of the faces under a footing since it was made (m), by the whole increments."""
+
+    level = None
 
 
 class RigidFooting(ReadOnce):
@@ -129,8 +134,7 @@ class RigidFooting(ReadOnce):
         names = (f"{surface.name}_motion{k or ''}" for k in itertools.count())
         motion = next(name for name in names if name not in points.fields)
         points.add_field(motion, (points.gdim,), "m")
-        self._motion = CarriedField(points, motion, (points.gdim,), "m")
-        self._motion.level = None
+        self._motion = FaceMotion(points, motion, (points.gdim,), "m")
 
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""
@@ -182,9 +186,7 @@ class RigidFooting(ReadOnce):
 
 def motions_under_footings(form: ufl.Form) -> list[str]:
     """Names of the fields in a form with the motions of faces under footings."""
-    fields = [c for c in extract_coefficients(form) if isinstance(c, PointField)]
-    surfaces = {f.name.removesuffix("_offset") for f in fields if f.name.endswith("_offset")}
-    return sorted(f.name for f in fields if f.name.partition("_motion")[0] in surfaces)
+    return sorted(c.name for c in extract_coefficients(form) if isinstance(c, FaceMotion))
 
 
 def refuse_footings(form: ufl.Form) -> None:

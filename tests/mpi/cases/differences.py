@@ -68,7 +68,7 @@ def _of_problems(s):
     touch = lambda: mpm.contact(  # noqa: E731
         s.tool, s.points, s.u, s.v, penetration=_last(1e-3, 2e-3)
     )
-    hold = lambda: mpm.dirichlet(side, s.u, s.v, (_last(1e-3, 2e-3), 0.0), law=s.law)  # noqa: E731
+    hold = lambda x: mpm.dirichlet(side, s.u, s.v, (x, 0.0), law=s.law)  # noqa: E731
     before = lambda e: mpm.carried(s.points, "before", e)  # noqa: E731
     rate = lambda e: (s.u[0] - before(e)) * s.v[0] * s.points.dX  # noqa: E731
     on = mesh.locate_entities_boundary(s.grid, 1, lambda x: np.isclose(x[0], 0.0))
@@ -80,7 +80,8 @@ def _of_problems(s):
         (lambda: s.solver(form=s.F + s.v[0] * s.points.dX(_last(0, 1))), "subdomain of term"),
         (lambda: s.solver(increment=_last(V.increment, s.u)), "order among the spaces of its grid"),
         (lambda: s.solver(form=s.F + touch()), "penetration of contact"),
-        (lambda: s.solver(form=s.F + hold()), "constant"),
+        (lambda: s.solver(form=s.F + hold(_last(1e-3, 2e-3))), "constant"),
+        (lambda: s.solver(form=s.F + hold(_last(0.0, 1e-3))), "form differs"),
         (lambda: s.solver(form=s.F + side.pressure(_last(1.0, 2.0), s.u, s.v)), "constant"),
         (lambda: s.solver(form=_last(s.F, s.F + s.ghost())), "form differs"),
         (lambda: s.solver(form=s.F + rate(s.u[_last(0, 1)])), "indices of"),
