@@ -21,6 +21,9 @@ _OF_METHOD = ("ksp_type", "pc_type", "pc_factor_mat_solver_type")
 _FEW = 50
 # Number of attached matrices before the other method is tried again, at first and at most
 _FIRST, _MOST = 8, 128
+# Cost of the other method before incomplete factors that failed are tried again, in costs of the
+# failure, at most; at first it is one. So failures cost at most as much as the other method.
+_MOST_OF_FAILURE = 64.0
 
 
 class IncompleteFactorsChoice:
@@ -29,8 +32,9 @@ class IncompleteFactorsChoice:
     Incomplete factors are cheap if inertia or near supports make iterations few. Otherwise
     iterations are too many. Incomplete factors are tried first. After many iterations, the other
     method is tried. From then on the method with the smaller cost per solution is taken, set-up
-    included. The other method is tried again from time to time. A method that fails is left out,
-    for longer each time.
+    included. The other method is tried again from time to time. Incomplete factors that fail are
+    left out until the other method has cost as much as the failure, or a multiple of that, which
+    doubles with each failure. One failure may be that of a first step, whose stencils are narrow.
 
     Attributes:
         incomplete: Whether incomplete factors precondition at present.
@@ -42,17 +46,27 @@ class IncompleteFactorsChoice:
         self._cost = {True: math.nan, False: math.nan}
         # attached matrices before the other method is tried, now and the next time
         self._wait, self._next = 0, _FIRST
+        # cost of the other method (ns) before incomplete factors that failed are tried again, and
+        # the multiple of the next failure's cost
+        self._left, self._multiple = 0.0, 1.0
 
-    def weigh(self, cost: float, iterations: float) -> None:
+    def weigh(self, cost: float, solutions: int, iterations: int) -> None:
         """Choose the method by the cost of the last solutions.
 
         Args:
-            cost: Mean cost of the solutions with all set-ups (ns), the same on all ranks.
-            iterations: Mean number of iterations.
+            cost: Cost of the solutions with all set-ups (ns), the same on all ranks.
+            solutions: Number of solutions.
+            iterations: Number of their iterations.
         """
         present = self.incomplete
-        self._cost[present] = cost
-        if present and iterations <= _FEW:
+        self._cost[present] = cost / solutions
+        if present and iterations <= _FEW * solutions:
+            self._multiple = 1.0
+            return
+        if math.isinf(self._cost[True]):
+            self._left -= cost
+            if self._left <= 0.0:
+                self.incomplete, self._cost[True] = True, math.nan
             return
         mine, other = self._cost[present], self._cost[not present]
         self._wait = max(self._wait - 1, 0)
@@ -65,10 +79,15 @@ class IncompleteFactorsChoice:
             self._cost[not present] = math.nan
             self._wait = self._next
 
-    def failed(self) -> None:
-        """Leave incomplete factors out after a failure."""
+    def failed(self, cost: float) -> None:
+        """Leave incomplete factors out after a failure.
+
+        Args:
+            cost: Cost of the solutions with all set-ups since the last choice (ns).
+        """
         self.incomplete, self._cost[True] = False, math.inf
-        self._wait, self._next = self._next, min(2 * self._next, _MOST)
+        self._left = self._multiple * cost
+        self._multiple = min(2.0 * self._multiple, _MOST_OF_FAILURE)
 
 
 @dataclass
@@ -152,17 +171,15 @@ class MethodChoice:
             return
         cost, solutions, iterations = reuse.taken()
         if solutions:
-            self._incomplete.weigh(cost / solutions, iterations / solutions)
+            self._incomplete.weigh(cost, solutions, iterations)
 
     def failed(self, method: Method, reuse: PreconditionerReuse | None) -> bool:
         """Leave a method out after a failure; returns whether another method is left."""
         if self.tangent.symmetric and self.definite:
             self.doubt.grow()
         elif method.incomplete:
-            self._incomplete.failed()
-            if reuse is not None:
-                # the cost of incomplete factors must not count for the other method
-                reuse.taken()
+            # this cost must not count for the other method
+            self._incomplete.failed(reuse.taken()[0] if reuse is not None else 0.0)
         elif not method.factors:
             self.no_iterations.grow()
         else:

@@ -229,29 +229,35 @@ def test_what_a_user_chooses_has_no_rival(monkeypatch, options):
 def test_incomplete_factors_are_left_for_what_costs_less():
     choice = IncompleteFactorsChoice()
     # few iterations: nothing else is tried, whatever they cost
-    choice.weigh(1.0, 12.0)
+    choice.weigh(1.0, 1, 12)
     assert choice.incomplete
     # many: factors have a turn, and lose it; the next one is eight attachments later
-    choice.weigh(2.0, 60.0)
+    choice.weigh(2.0, 1, 60)
     assert not choice.incomplete
-    choice.weigh(3.0, 1.0)
+    choice.weigh(3.0, 1, 1)
     assert choice.incomplete
-    turns = [choice.incomplete for _ in range(8) if choice.weigh(2.0, 60.0) is None]
+    turns = [choice.incomplete for _ in range(8) if choice.weigh(2.0, 1, 60) is None]
     assert turns == [True] * 7 + [False]
     # this time they cost less, and stay until the other one has a turn
-    turns = [choice.incomplete for _ in range(16) if choice.weigh(1.0, 1.0) is None]
+    turns = [choice.incomplete for _ in range(16) if choice.weigh(1.0, 1, 1) is None]
     assert turns == [False] * 15 + [True]
 
 
 def test_incomplete_factors_that_failed_wait_for_longer_each_time():
     choice, waits = IncompleteFactorsChoice(), []
-    for _ in range(6):
-        choice.failed()
+    for _ in range(8):
+        # a failure that costs as much as six solutions by the other method
+        choice.failed(6.0)
         waits.append(0)
         while not choice.incomplete:
-            choice.weigh(1.0, 1.0)
+            choice.weigh(2.0, 2, 2)
             waits[-1] += 1
-    assert waits == [8, 16, 32, 64, 128, 128]
+    assert waits == [3, 6, 12, 24, 48, 96, 192, 192]
+    # what works is trusted again
+    choice.weigh(1.0, 1, 12)
+    choice.failed(6.0)
+    choice.weigh(6.0, 1, 1)
+    assert choice.incomplete
 
 
 def test_iterations_that_failed_wait_for_longer_each_time():
