@@ -183,10 +183,12 @@ class PreconditionerReuse:
         self.counts = self.counts[0] + 1, self.counts[1]
         self._age += 1
         self.iterations.append(iterations)
-        if self.old and ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
-            # see `most`
-            ksp.setConvergedReason(PETSc.KSP.ConvergedReason.CONVERGED_ITS)
+        if self.old and iterations >= ksp.getTolerances()[3]:
+            # with factors, PETSc calls this solution converged
             self.renew()
+            if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+                # see `most`
+                ksp.setConvergedReason(PETSc.KSP.ConvergedReason.CONVERGED_ITS)
 
     def _add(self, cost: float, iterations: int = 0, solutions: int = 0) -> float:
         """Add a cost; returns the largest of all ranks, for which the others wait. Collective."""

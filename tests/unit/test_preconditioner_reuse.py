@@ -19,7 +19,7 @@ from dolfinmpm.solve.preconditionerreuse import PreconditionerReuse, setup_cost,
 class Counted:
     """A Krylov solver, and its preconditioner, whose flops are set."""
 
-    kept, flops, after, reason = False, 0.0, 1e-3, 2
+    kept, flops, after, reason, most = False, 0.0, 1e-3, 2, 500
 
     def setReusePreconditioner(self, flag):
         self.kept = flag
@@ -38,6 +38,9 @@ class Counted:
 
     def getIterationNumber(self):
         return 1
+
+    def getTolerances(self):
+        return 1e-5, 0.0, 1e5, self.most
 
     def getConvergedReason(self):
         return self.reason
@@ -130,7 +133,7 @@ def test_too_many_iterations_with_an_old_preconditioner_end_early(monkeypatch):
     # A whole number would depend on the rounding of PETSc's count of flops
     assert reuse.most(2e-6, 500) == 18
     assert reuse.most(1e-6, 10) == 10
-    ksp.reason = PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
+    ksp.most, ksp.reason = 1, PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
     ksp.solve(reuse, 2e3)
     assert ksp.reason == PETSc.KSP.ConvergedReason.CONVERGED_ITS
     reuse.prepare(ksp)
@@ -138,6 +141,18 @@ def test_too_many_iterations_with_an_old_preconditioner_end_early(monkeypatch):
     ksp.reason = PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
     ksp.solve(reuse, 2e3)
     assert ksp.reason == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
+
+
+def test_old_factors_that_need_all_iterations_are_made_anew(monkeypatch):
+    """PETSc calls their last iteration converged, see `krylov.create`, whatever it leaves."""
+    monkeypatch.setattr(reuse_module, "setup_cost", lambda pc, flops: 8e3)
+    reuse, ksp = PreconditionerReuse(MPI.COMM_SELF), Counted()
+    ksp.reason = PETSc.KSP.ConvergedReason.CONVERGED_ITS
+    for most, old in ((500, False), (500, True), (1, True), (1, False)):
+        ksp.most = most
+        reuse.prepare(ksp)
+        assert reuse.old == old
+        ksp.solve(reuse, 1e3)
 
 
 def laplacian(n=30):
