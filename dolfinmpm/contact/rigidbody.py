@@ -260,22 +260,6 @@ class RigidBody(ReadOnce):
             return Pose(start.origin, start.shift + shift, rotation_of(whole, self.gdim), whole)
         return start.moved(shift, turn)
 
-    def push(self, force: Array, kick: float) -> None:
-        """Compute velocity and motion in an explicit step from the force on it.
-
-        Args:
-            force: Force and moment (N, N m), shape (components,).
-            kick: Time during which they act (s).
-        """
-        free = self.freedom
-        assert free is not None
-        free.begin(self.start, force, self.time, True)
-        assert free.acceleration is not None
-        own = free.free
-        free.velocity[own] += kick * free.acceleration[own]
-        free.increment = np.zeros_like(free.velocity)
-        free.increment[own] = self.dt * free.velocity[own]
-
     def commit(self, force: Array, moment: Array, *, mean: bool = False) -> float:
         """Keep the pose at the end of the step, and the forces on the body.
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm.assembly.term import ActiveTerm, NewState
+from dolfinmpm.contact.bodyinertia import find_acceleration
 from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.boundarywork import works_of_boundaries
@@ -254,12 +255,13 @@ class NewmarkScheme(TimedScheme):
         for body in problem.bodies.free:
             assert body.freedom is not None
             none = np.zeros(body.freedom.increment.size)
-            body.freedom.begin(body.start, none, body.time, self.jumped)
+            find_acceleration(body, none, self.jumped)
         solver = problem.solver
         if isinstance(solver, Bordered) and isinstance(solver.border, FreeBodies):
             solver.border.inertial = Inertial(
-                rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f,
-                weight=self.mean_weights.weight,
+                rule.factor(dt), lambda V, A: rule.known(V, A, dt),
+                lambda u, V, A: rule.level_velocity(u, V, A, dt), rule.gamma / (rule.beta * dt),
+                level=1.0 - rule.alpha_f, weight=self.mean_weights.weight,
             )  # fmt: skip
 
     def add_body_work(self, work: float) -> None:
@@ -324,7 +326,7 @@ class NewmarkScheme(TimedScheme):
             pushed = np.zeros_like(A)
             totals = [c.totals() for c in acting if c.contact.body is body]
             force = sum((np.concatenate(both) for both in totals), np.zeros_like(A))
-            M = free.inertia(body.start)[np.ix_(own, own)]
+            M = free.inertia(body.at(1.0 - rule.alpha_f))[np.ix_(own, own)]
             pushed[own] = np.linalg.solve(M, force[own])
             V_end, A_end = rule.with_contact(rule.velocity(V, A, A_end, dt), A_end, pushed, dt)
             free.velocity[own] = V_end[own]

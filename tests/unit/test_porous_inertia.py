@@ -124,3 +124,13 @@ def test_volumes_of_water_balance_at_the_level():
     lost = start - float(points["density"] @ points["V0"])
     assert lost == pytest.approx(1000.0 * float((1 - J) @ points["V0"]), rel=1e-9)
     assert lost > 0
+
+
+def test_water_that_flows_is_no_load():
+    """The flow at the start of a step is a source of the pressure's equation, and does no work."""
+    problem = time_stepping(theta=0.5, gravity=None, permeability=1e-2, inertia=False)
+    problem.points["velocity"][:, 1] = -0.1 * problem.points["x"][:, 1]
+    first = problem.energies().kinetic
+    for t in (0.01, 0.02, 0.03):
+        problem.step(t)
+    assert abs(problem.energies().external) < 1e-9 * first
