@@ -175,6 +175,18 @@ class PrescribedMotion:
                 "since it was made; make the shape at the body's initial position"
             )
 
+    def refuse_free(self, free: npt.NDArray[np.intp]) -> None:
+        """Raise ParameterError if all that it prescribes are free components.
+
+        Velocities and increments are those at the start there.
+        """
+        if self.kind == "total" and np.isin(np.arange(self.size), free).all():
+            raise ParameterError(
+                f"{self.name} prescribes components that are free and would do nothing: hold one "
+                "by free=..., or leave it out; an initial velocity is given by velocity or "
+                "angular_velocity"
+            )
+
     def value(self, function: Motion, t: float) -> Array:
         """Value of a function of time at t, shape (size,)."""
         answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))

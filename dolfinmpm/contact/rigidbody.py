@@ -144,6 +144,8 @@ class RigidBody(ReadOnce):
         if free is not None or any(load is not None for load in loads):
             rates = [first_rate(motion) for motion in self.prescribed_motions]
             self.freedom = FreeMotion(d, free, *loads, np.concatenate(rates))
+            for motion, first in zip(self.prescribed_motions, (0, d)):
+                motion.refuse_free(self.freedom.free - first)
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
         self.mover: Any = None  # see `RigidBodies.take`
@@ -273,9 +275,12 @@ class RigidBody(ReadOnce):
         """
         before, after = self.start, self.pose
         turned = after.rotation @ before.rotation.T
-        # the rotation vector of a small rotation
+        # the rotation vector
         W = 0.5 * (turned - turned.T)
         spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
+        sine, cosine = np.linalg.norm(spin), 0.5 * (np.trace(turned) - (self.gdim == 3))
+        if sine > 0.0:
+            spin = np.arctan2(sine, cosine) / sine * spin
         way = np.concatenate([after.shift - before.shift, spin])
         against = -np.concatenate([force, moment])
         if not mean:

@@ -9,6 +9,7 @@ from mpi4py import MPI
 from scipy.integrate import solve_ivp
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.bodyinertia import inertial_forces, skew
 
 J = np.array([1.0, 2.0, 3.0])
@@ -121,3 +122,25 @@ def test_the_derivative_of_inertial_forces():
         step = 1e-6
         both = (forces(start + step * w)[0] - forces(start - step * w)[0]) / (2 * step)
         np.testing.assert_allclose(found[:, k], both, atol=1e-3)
+
+
+@pytest.mark.parametrize("axis", [(1.0,), (1 / 3, 2 / 3, 2 / 3)])
+def test_the_work_of_a_moment_is_over_the_whole_angle(axis):
+    """A third of a turn in one step, whose sine is not its angle."""
+    shape = mpm.Disc((0, 0), 1.0) if len(axis) == 1 else mpm.Ball((0, 0, 0), 1.0)
+    rate = 120.0 * np.array(axis)
+    wheel = mpm.RigidBody(shape, rotation_increment=rate.tolist())
+    wheel.begin(1.0)
+    wheel.put(1.0)
+    work = wheel.commit(np.zeros(wheel.gdim), -2.0 * rate / 120, mean=True)
+    assert work == pytest.approx(2.0 * 2 * np.pi / 3)
+
+
+@pytest.mark.parametrize("motion", ["displacement", "rotation"])
+def test_a_motion_of_free_components_alone_is_refused(motion):
+    size = 2 if motion == "displacement" else 1
+    options = {motion: lambda t: np.zeros(size)}
+    with pytest.raises(ParameterError, match=rf"{motion} prescribes components that are free"):
+        mpm.RigidBody(mpm.Disc((0, 0), 1.0), mass=1.0, inertia=1.0, **options)
+    held = (False, True, False)
+    mpm.RigidBody(mpm.Disc((0, 0), 1.0), mass=1.0, inertia=1.0, free=held, **options)
