@@ -223,10 +223,10 @@ class NewmarkScheme(TimedScheme):
         rates = velocities_at(problem, here, step, lambda v: v(step.start) * scale)
         motion.to_grid(here, problem.form, step, rates)
         self._load_at(problem, step, 1 - rule.alpha_f)
-        if rule.alpha_f and here.driven:
-            bases = [field.basis for field in here.fields]
-            level = problem.essential_conditions.at(bases, (1 - rule.alpha_f) * step.share)[1]
-            here = replace(here, prescribed=level)
+        conditions = problem.essential_conditions
+        if rule.alpha_f and (here.driven or conditions.moved):
+            bases, level = [field.basis for field in here.fields], 1 - rule.alpha_f
+            here = replace(here, prescribed=conditions.at(bases, level * step.share, level)[1])
         self._begin_free_bodies(problem, step)
         share, level_dt = motion.penalty_energy.share, (1 - rule.alpha_f) * step.dt
         known = {one.k: rule.known(one.V, one.A, step.dt) for one in motion.nodes}
@@ -297,6 +297,7 @@ class NewmarkScheme(TimedScheme):
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)
+            problem.essential_conditions.accept()
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
 
