@@ -141,11 +141,6 @@ class Mass:
         return unknowns.fields[self._k if len(unknowns.fields) > 1 else 0]
 
     @stages.solve
-    @property
-    def is_lumped(self) -> bool:
-        """Whether the mass is lumped."""
-        return self._terms.kind == "lumped"
-
     def velocities(self, momenta: Nodal, prescribed: Array, fastest: float) -> Nodal:
         """Velocities of the nodes from momenta (kg m/s) of the points. Collective.
 
