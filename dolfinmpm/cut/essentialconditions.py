@@ -114,7 +114,7 @@ class EssentialConditions:
             self._still.clear()
 
     def state(self) -> dict[str, Any]:
-        """Values of the constants that conditions prescribe, now and at the end of the last step."""
+        """Values of the constants that conditions prescribe, now and after the last step."""
         found = {f"{k}": np.array(value.value) for k, value in enumerate(self._constants)}
         return found | {f"reached {k}": value for k, value in enumerate(self._reached)}
 
@@ -259,7 +259,6 @@ class EssentialConditions:
             values[nodes, column] = value
             owner[nodes, column] = number
         return error
-
 
     def _value(self, condition: Condition, share: float, level: float) -> Array:
         """Value of a condition at a share of the step; see `at`."""

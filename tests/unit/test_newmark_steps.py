@@ -186,7 +186,8 @@ def test_a_file_of_another_problem_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("mass", "mapping"), [("consistent", None), ("consistent", "flip"), ("lumped", None), ("lumped", "flip")]
+    ("mass", "mapping"),
+    [("consistent", None), ("consistent", "flip"), ("lumped", None), ("lumped", "flip")],
 )
 @pytest.mark.parametrize("steps", [20, 80])
 def test_the_work_of_a_side_that_moves(steps, mass, mapping):
