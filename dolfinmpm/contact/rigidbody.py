@@ -61,7 +61,8 @@ class RigidBody(ReadOnce):
         rotation: Rotation since the body was made (degrees): an angle, in 3D a rotation vector. It
             is given in the same ways as `displacement`.
         centre: Centre of rotation (m). By default the middle of the bounding box, or the point of
-            a plane.
+            a plane. Mass and weight of a free body act there: give its centre of mass, which is
+            not the middle of a wedge or of a mesh.
         fillet: Radius (m) that rounds convex edges. So points that slide around an edge meet no
             jump of the normal. The body stays within its shape.
         name: Name of the body in messages, records and files.
