@@ -175,6 +175,18 @@ class PrescribedMotion:
                 "since it was made; make the shape at the body's initial position"
             )
 
+    def refuse_free(self, free: npt.NDArray[np.intp]) -> None:
+        """Raise ParameterError if all that it prescribes are free components.
+
+        Velocities and increments are those at the start there.
+        """
+        if self.kind == "total" and np.isin(np.arange(self.size), free).all():
+            raise ParameterError(
+                f"{self.name} prescribes components that are free and would do nothing: hold one "
+                "by free=..., or leave it out; an initial velocity is given by velocity or "
+                "angular_velocity"
+            )
+
     def value(self, function: Motion, t: float) -> Array:
         """Value of a function of time at t, shape (size,)."""
         answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))
@@ -303,31 +315,6 @@ class FreeMotion:
         own = self._inertia if self._inertia is not None else np.zeros(size - d)
         M[d:, d:] = np.diag(own) if d == 2 else pose.rotation @ np.diag(own) @ pose.rotation.T
         return M
-
-    def gyroscopic(self, pose: Pose) -> Array:
-        """ω × Jω of a rotating body (N m), as forces on all components; zero in 2D."""
-        out = np.zeros(self.increment.size)
-        if self._gdim == 3 and self.mass is not None:
-            J, w = self.inertia(pose)[3:, 3:], self.velocity[3:]
-            out[3:] = np.cross(w, J @ w)
-        return out
-
-    def begin(self, pose: Pose, force: Array, t: float, afresh: bool) -> None:
-        """Find the acceleration at the start of a step if it is unknown.
-
-        Args:
-            pose: The body's pose.
-            force: Force and moment of contact (N, N m), shape (components,).
-            t: Time (s).
-            afresh: Whether a load jumps, so that the acceleration differs from the end of the last
-                step.
-        """
-        if self.mass is None or (self.acceleration is not None and not afresh):
-            return
-        self.acceleration = np.zeros(self.increment.size)
-        at = np.ix_(self.free, self.free)
-        out = self.external(t) + force - self.gyroscopic(pose)
-        self.acceleration[self.free] = np.linalg.solve(self.inertia(pose)[at], out[self.free])
 
     def go_on(self, dt: float) -> None:
         """Set the increment of a body that continues its motion for a time dt (s)."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.bodyinertia import accelerate
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.contact.tunnelling import limit_of, too_far
@@ -218,7 +219,7 @@ class RigidBodies:
             for active in contacts:
                 if active.contact.body is body:
                     force += np.concatenate(active.totals())
-            body.push(force, kick)
+            accelerate(body, force, kick)
 
     def commit(self, contacts: Sequence[ActiveRigidContact]) -> float:
         """Keep the poses of the bodies, and the forces on them. Collective.

@@ -61,7 +61,8 @@ class RigidBody(ReadOnce):
         rotation: Rotation since the body was made (degrees): an angle, in 3D a rotation vector. It
             is given in the same ways as `displacement`.
         centre: Centre of rotation (m). By default the middle of the bounding box, or the point of
-            a plane.
+            a plane. Mass and weight of a free body act there: give its centre of mass, which is
+            not the middle of a wedge or of a mesh.
         fillet: Radius (m) that rounds convex edges. So points that slide around an edge meet no
             jump of the normal. The body stays within its shape.
         name: Name of the body in messages, records and files.
@@ -144,6 +145,8 @@ class RigidBody(ReadOnce):
         if free is not None or any(load is not None for load in loads):
             rates = [first_rate(motion) for motion in self.prescribed_motions]
             self.freedom = FreeMotion(d, free, *loads, np.concatenate(rates))
+            for motion, first in zip(self.prescribed_motions, (0, d)):
+                motion.refuse_free(self.freedom.free - first)
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
         self.mover: Any = None  # see `RigidBodies.take`
@@ -260,22 +263,6 @@ class RigidBody(ReadOnce):
             return Pose(start.origin, start.shift + shift, rotation_of(whole, self.gdim), whole)
         return start.moved(shift, turn)
 
-    def push(self, force: Array, kick: float) -> None:
-        """Compute velocity and motion in an explicit step from the force on it.
-
-        Args:
-            force: Force and moment (N, N m), shape (components,).
-            kick: Time during which they act (s).
-        """
-        free = self.freedom
-        assert free is not None
-        free.begin(self.start, force, self.time, True)
-        assert free.acceleration is not None
-        own = free.free
-        free.velocity[own] += kick * free.acceleration[own]
-        free.increment = np.zeros_like(free.velocity)
-        free.increment[own] = self.dt * free.velocity[own]
-
     def commit(self, force: Array, moment: Array, *, mean: bool = False) -> float:
         """Keep the pose at the end of the step, and the forces on the body.
 
@@ -289,9 +276,12 @@ class RigidBody(ReadOnce):
         """
         before, after = self.start, self.pose
         turned = after.rotation @ before.rotation.T
-        # the rotation vector of a small rotation
+        # the rotation vector
         W = 0.5 * (turned - turned.T)
         spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
+        sine, cosine = np.linalg.norm(spin), 0.5 * (np.trace(turned) - (self.gdim == 3))
+        if sine > 0.0:
+            spin = np.arctan2(sine, cosine) / sine * spin
         way = np.concatenate([after.shift - before.shift, spin])
         against = -np.concatenate([force, moment])
         if not mean:

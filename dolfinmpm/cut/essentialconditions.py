@@ -98,6 +98,9 @@ class EssentialConditions:
         self.follows = any(condition.place is not None for condition in conditions)
         self._fixed: dict[tuple[Basis, ...], list[Flags]] = {}
         self._still: dict[tuple[Basis, ...], list[Array]] = {}
+        # values of constants at the end of the last step; first ones are there from the start
+        self._reached: list[Array] = []
+        self.accept()
         self.at([space.basis for space in spaces], 1.0)
 
     def follow(self) -> None:
@@ -111,13 +114,25 @@ class EssentialConditions:
             self._still.clear()
 
     def state(self) -> dict[str, Any]:
-        """Values of the constants that conditions prescribe."""
-        return {f"{k}": np.array(value.value) for k, value in enumerate(self._constants)}
+        """Values of the constants that conditions prescribe, now and after the last step."""
+        found = {f"{k}": np.array(value.value) for k, value in enumerate(self._constants)}
+        return found | {f"reached {k}": value for k, value in enumerate(self._reached)}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`."""
         for k, value in enumerate(self._constants):
             value.value = values[f"{k}"]
+            self._reached[k] = np.array(values.get(f"reached {k}", value.value), float)
+
+    def accept(self) -> None:
+        """Keep the values of constants at the end of a step."""
+        self._reached = [np.array(value.value, float) for value in self._constants]
+
+    @property
+    def moved(self) -> bool:
+        """Whether a constant differs from its value at the end of the last step."""
+        both = zip(self._constants, self._reached)
+        return any(np.any(now.value != old) for now, old in both)
 
     @property
     def _constants(self) -> list[fem.Constant]:
@@ -129,12 +144,16 @@ class EssentialConditions:
         moved = any(np.any(condition.values != 0.0) for condition in self.conditions)
         return self._spaces[0].grid.comm.allreduce(moved, op=MPI.LOR)
 
-    def at(self, bases: Sequence[Basis], share: float) -> tuple[list[Flags], list[Array]]:
+    def at(
+        self, bases: Sequence[Basis], share: float, level: float = 1.0
+    ) -> tuple[list[Flags], list[Array]]:
         """Masks of the prescribed components, and their values. Collective.
 
         Args:
             bases: Basis of each field, with the overlap of the step.
             share: Share of the step's increments.
+            level: Share of the step at which a field has its value: the constants of values go
+                there evenly over a step.
 
         Returns:
             Masks and values per field, each of shape (nodes, components). The masks are the same
@@ -150,7 +169,7 @@ class EssentialConditions:
             base = basis if leaves else space.basis
             shape = (base.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
-            error = self._apply(space, base, share, flags, numbers) or error
+            error = self._apply(space, base, (share, level), flags, numbers) or error
             fixed.append(flags if leaves else renumbered(flags, base, basis))
             values.append(numbers if leaves else renumbered(numbers, base, basis))
         raise_together(self._spaces[0].grid.comm, error)
@@ -210,7 +229,7 @@ class EssentialConditions:
         flags[condition.nodes] = True
         return renumbered(flags, base, basis)
 
-    def _apply(self, space: Space, basis: Basis, share, flags, values) -> Exception | None:
+    def _apply(self, space: Space, basis: Basis, shares, flags, values) -> Exception | None:
         """Set masks and values at the own nodes of this rank; returns a contradiction or None.
 
         On leaves they are set at all nodes that this rank knows.
@@ -225,8 +244,7 @@ class EssentialConditions:
                 condition = on_leaves(condition, basis)
             column, own = condition.component, condition.nodes < limit
             nodes = condition.nodes[own]
-            part = 1.0 if condition.kind == "value" else share
-            value = np.broadcast_to(part * condition.values, condition.nodes.shape)[own]
+            value = np.broadcast_to(self._value(condition, *shares), condition.nodes.shape)[own]
             differs = flags[nodes, column] & (values[nodes, column] != value)
             clash = nodes[differs]
             if clash.size and error is None:
@@ -241,6 +259,17 @@ class EssentialConditions:
             values[nodes, column] = value
             owner[nodes, column] = number
         return error
+
+    def _value(self, condition: Condition, share: float, level: float) -> Array:
+        """Value of a condition at a share of the step; see `at`."""
+        now = condition.values
+        if condition.kind != "value":
+            return share * now
+        if level == 1.0 or not isinstance(condition.value, fem.Constant):
+            return now
+        constants = enumerate(self._constants)
+        old = self._reached[next(k for k, one in constants if one is condition.value)]
+        return np.asarray(old + level * (now - old))
 
 
 def nodes_at_side(basis: LeafBasis, axis: int, end: int) -> npt.NDArray[np.int32]:

@@ -220,7 +220,8 @@ class GridMotion:
         """
         points, step = self._points, self._step
         found = [self._from_nodes(one, operator) for one in self.nodes]
-        loads = work_of_loads(operator, x, scale, self.nodes, step.dt, self.varying)
+        kept = self.mapping.kept_share
+        loads = work_of_loads(operator, x, scale, self.nodes, step.dt, self.varying, kept)
         work = Work(external=loads)
         stored: dict[int, float] = {}
         work.add_stresses(points, state.fields, operator)

@@ -47,6 +47,11 @@ class NewmarkRule:
         """v' at the nodes (m/s)."""
         return V + dt * ((1 - self.gamma) * A + self.gamma * A_end)
 
+    def level_velocity(self, u: Array, V: Array, A: Array, dt: float) -> Array:
+        """Velocities at the level of balance (m/s), by the increments of the whole step."""
+        end = self.velocity(V, A, self.acceleration(u, V, A, dt), dt)
+        return np.asarray((1 - self.alpha_f) * end + self.alpha_f * V)
+
     def with_contact(
         self, V_end: Array, A_end: Array, push: Array, dt: float
     ) -> tuple[Array, Array]:

@@ -110,6 +110,11 @@ class Mapping:
         return self.share if self.kind == "flip" else 0.0
 
     @property
+    def kept_share(self) -> float:
+        """Share of the point's old velocity in its new one; the remainder is the grid's."""
+        return 1.0 if self.kind == "accel" else self.flip_share
+
+    @property
     def affine(self) -> bool:
         """Whether the points carry an affine part of the velocity."""
         return self.kind in ("apic", "tpic")

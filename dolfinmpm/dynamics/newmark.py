@@ -104,6 +104,9 @@ class TimeStepping(MovingBody, QuasiStatic):
         scheme = NewmarkScheme(rule, ties, error, time)
         super().__init__(form, increment, points, conditions, scheme=scheme, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
+        if self.form.has_rates:
+            # forces at the start of a step have no increments, and so no rates
+            scheme.rule = rule = replace(rule, by_forces=False)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         refuse_constraints(faces, self.fields)
         if faces:

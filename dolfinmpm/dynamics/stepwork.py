@@ -84,6 +84,7 @@ def work_of_loads(
     nodes: Sequence[MovingNodes],
     dt: float,
     varying: bool,
+    kept: float = 0.0,
 ) -> float:
     """Work of loads and of prescribed motions in a step (J). Collective.
 
@@ -97,6 +98,7 @@ def work_of_loads(
         nodes: The nodes that move points.
         dt: Length of the step (s).
         varying: Whether any load changes in the step.
+        kept: Share of the points' own velocities in their new ones, see `Mapping.kept_share`.
     """
     here = operator.here
     if not (here.driven or varying):
@@ -111,7 +113,9 @@ def work_of_loads(
     both = zip(start, forces_without_contact(plain), mean_contact_forces(operator))
     forces = [0.5 * (f + g) - push for f, g, push in both]
     for one in nodes:
-        forces[one.k] += (one.mass.times(one.motion.V_end).arrays[0] - one.momenta) / dt
+        # points that keep their velocities get no more than the change of the nodes' velocities
+        before = kept * one.mass.times(one.V).arrays[0] + (1.0 - kept) * one.momenta
+        forces[one.k] += (one.mass.times(one.motion.V_end).arrays[0] - before) / dt
     return plain.load_work() + plain.work_at_prescribed(forces)
 
 

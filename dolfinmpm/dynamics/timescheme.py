@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm.assembly.term import ActiveTerm, NewState
+from dolfinmpm.contact.bodyinertia import find_acceleration
 from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.boundarywork import works_of_boundaries
@@ -222,10 +223,10 @@ class NewmarkScheme(TimedScheme):
         rates = velocities_at(problem, here, step, lambda v: v(step.start) * scale)
         motion.to_grid(here, problem.form, step, rates)
         self._load_at(problem, step, 1 - rule.alpha_f)
-        if rule.alpha_f and here.driven:
-            bases = [field.basis for field in here.fields]
-            level = problem.essential_conditions.at(bases, (1 - rule.alpha_f) * step.share)[1]
-            here = replace(here, prescribed=level)
+        conditions = problem.essential_conditions
+        if rule.alpha_f and (here.driven or conditions.moved):
+            bases, level = [field.basis for field in here.fields], 1 - rule.alpha_f
+            here = replace(here, prescribed=conditions.at(bases, level * step.share, level)[1])
         self._begin_free_bodies(problem, step)
         share, level_dt = motion.penalty_energy.share, (1 - rule.alpha_f) * step.dt
         known = {one.k: rule.known(one.V, one.A, step.dt) for one in motion.nodes}
@@ -254,12 +255,13 @@ class NewmarkScheme(TimedScheme):
         for body in problem.bodies.free:
             assert body.freedom is not None
             none = np.zeros(body.freedom.increment.size)
-            body.freedom.begin(body.start, none, body.time, self.jumped)
+            find_acceleration(body, none, self.jumped)
         solver = problem.solver
         if isinstance(solver, Bordered) and isinstance(solver.border, FreeBodies):
             solver.border.inertial = Inertial(
-                rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f,
-                weight=self.mean_weights.weight,
+                rule.factor(dt), lambda V, A: rule.known(V, A, dt),
+                lambda u, V, A: rule.level_velocity(u, V, A, dt), rule.gamma / (rule.beta * dt),
+                level=1.0 - rule.alpha_f, weight=self.mean_weights.weight,
             )  # fmt: skip
 
     def add_body_work(self, work: float) -> None:
@@ -295,6 +297,7 @@ class NewmarkScheme(TimedScheme):
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)
+            problem.essential_conditions.accept()
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
 
@@ -324,7 +327,7 @@ class NewmarkScheme(TimedScheme):
             pushed = np.zeros_like(A)
             totals = [c.totals() for c in acting if c.contact.body is body]
             force = sum((np.concatenate(both) for both in totals), np.zeros_like(A))
-            M = free.inertia(body.start)[np.ix_(own, own)]
+            M = free.inertia(body.at(1.0 - rule.alpha_f))[np.ix_(own, own)]
             pushed[own] = np.linalg.solve(M, force[own])
             V_end, A_end = rule.with_contact(rule.velocity(V, A, A_end, dt), A_end, pushed, dt)
             free.velocity[own] = V_end[own]

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.bodyinertia import inertial_forces
 from dolfinmpm.contact.bodytangent import add_body_columns, add_body_rows
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidbody import RigidBody
@@ -40,6 +41,9 @@ class Inertial:
         factor: Derivative of the acceleration by the increment at the level of balance (1/s²).
         known: Function from velocities and accelerations at the start to the other part of the
             acceleration (m/s²).
+        speed: Function from increments of the whole step, velocities and accelerations at the start
+            to velocities at the level of balance (m/s).
+        speed_factor: Derivative of these velocities by the increment at the level (1/s).
         level: Level of balance, as a share of the step.
         touches_at: Share of the step at which contact forces are found.
         weight: Weight of the contact forces in the balance.
@@ -47,6 +51,8 @@ class Inertial:
 
     factor: float
     known: Callable[[Array, Array], Array]
+    speed: Callable[[Array, Array, Array], Array]
+    speed_factor: float
     level: float
     touches_at: float = 1.0
     weight: float = 1.0
@@ -182,9 +188,13 @@ class FreeBodies:
             if self.inertial is not None:
                 assert free.acceleration is not None
                 known = self.inertial.known(free.velocity, free.acceleration)
-                w = self._level * free.increment
-                inertia = M @ (self.inertial.factor * w + known) + free.gyroscopic(body.start)
-                out, slope = out + inertia, slope + self.inertial.factor * M
+                speed = self.inertial.speed(free.increment, free.velocity, free.acceleration)
+                acceleration = self.inertial.factor * self._level * free.increment + known
+                inertia, by_motion = inertial_forces(
+                    body, self._level, (speed, acceleration),
+                    (self.inertial.speed_factor, self.inertial.factor),
+                )  # fmt: skip
+                out, slope = out + inertia, slope + by_motion
                 # the inertial forces of a body with constant velocity cancel
                 share = max(_SMALL, _ROUNDING / self.tolerance)
                 least = share * np.abs(M) @ np.abs(known)
@@ -196,7 +206,9 @@ class FreeBodies:
             # the reference of moments is at least force times half the body's extent
             reach = max(_size(body), 1e-300)
             scale[d:] = max(scale[d:].max(), scale[:d].max() * reach)
-            scale[:d] = max(scale[:d].max(), 1e-300)
+            # a body that only turns has no force
+            least_force = max(_SMALL, _ROUNDING / self.tolerance) * scale[d:].max() / reach
+            scale[:d] = max(scale[:d].max(), least_force, 1e-300)
             scale[d:] = np.maximum(scale[d:], 1e-300)
             sizes_of.append(scale[own])
             gaps.append((out / scale)[own])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
+from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.assembly.evaluation import Evaluation
@@ -103,6 +105,16 @@ class WeakForm:
         for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
             # errors of compilation must show now; tangents wait until a solver needs them
             region.external, region.internal, region.operands  # noqa: B018
+
+    @cached_property
+    def has_rates(self) -> bool:
+        """Whether forces that move points have rates over `points.dt`."""
+        if self.points.dt not in extract_constants(self.given):
+            return False
+        own = movers(self.spaces)
+        others = [space.test for k, space in enumerate(self.spaces) if k not in own]
+        rest = ufl.replace(self.given, {q: ufl.zero(q.ufl_shape) for q in others})
+        return self.points.dt in extract_constants(rest)
 
     def add(self, term: Term) -> None:
         """Add a term outside the UFL form, such as the mass."""

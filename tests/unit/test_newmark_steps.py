@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import COMM
 from scenes import vibrating_bar
 from test_newmark import LAWS, block
 
@@ -182,3 +183,24 @@ def test_a_file_of_another_problem_is_refused(tmp_path):
     for other in ({"rule": mpm.GeneralisedAlpha}, {"mapping": "flip"}):
         with pytest.raises(DolfinMPMError, match="is of another problem"):
             shaken(**other)[0].load(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("mass", "mapping"),
+    [("consistent", None), ("consistent", "flip"), ("lumped", None), ("lumped", "flip")],
+)
+@pytest.mark.parametrize("steps", [20, 80])
+def test_the_work_of_a_side_that_moves(steps, mass, mapping):
+    """A bar pushed with v has the stress ρ c v until the wave comes back, whatever the step."""
+    L, h, E, v = 2.0, 0.125, 1e6, 1e-3
+    c = math.sqrt(E / 1000.0)
+    grid = mpm.create_lattice(COMM, [h * np.arange(18), h * np.arange(2)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (L, h)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=E, nu=0.0), points, V.increment, V.test)
+    bcs = mpm.rollers(V, "bottom", "top") + mpm.moving(V, "left", 0, velocity=v)
+    problem = mpm.Newmark(F, V.increment, points, bcs, mass=mass, mapping=mapping)
+    end = 0.8 * L / c
+    for t in mpm.times(end, dt=end / steps):
+        problem.step(t)
+    assert problem.energies().external == pytest.approx(1000.0 * c * v**2 * end * h, rel=0.04)

@@ -95,7 +95,10 @@ def test_a_sudden_load_obeys_the_telegraph_equation(share):
     assert np.sqrt(np.mean(error**2)) < 0.01
 
 
-def test_rates_are_those_of_the_level_where_forces_balance():
+@pytest.mark.parametrize(
+    ("rule", "options"), [(mpm.GeneralisedAlpha, {"rho_inf": 0.8}), (mpm.Newmark, {})]
+)
+def test_rates_are_those_of_the_level_where_forces_balance(rule, options):
     """A bar of Kelvin and Voigt: amplitudes fall by exp(−ηω²t/2M)."""
     h = LENGTH / CELLS
     grid = mesh.create_rectangle(
@@ -109,7 +112,7 @@ def test_rates_are_those_of_the_level_where_forces_balance():
     F = mpm.momentum(mpm.materials.Hencky(E=M, nu=0.0), points, u, v)
     F += viscosity / points.dt * ufl.inner(ufl.grad(u), ufl.grad(v)) * points.dX
     bcs = mpm.rollers(V, "left", "right", "bottom")
-    problem = mpm.GeneralisedAlpha(F, u, points, bcs, rho_inf=0.8, stabilisation="ghost")
+    problem = rule(F, u, points, bcs, stabilisation="ghost", **options)
     points["velocity"][:, 1] = 1e-4 * np.sin(0.5 * math.pi * points["x"][:, 1] / LENGTH)
     start = problem.momentum()[1]
     end = 2 * math.pi / (omega * math.sqrt(1 - 0.05**2))
