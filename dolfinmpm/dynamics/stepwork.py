@@ -77,6 +77,39 @@ def work_of_contact(operator: Operator, nodes: Sequence[MovingNodes]) -> float:
     return unknowns.comm.allreduce(done, op=MPI.SUM)
 
 
+def _load_work(operator: Operator, of: Sequence[Array] | None = None) -> float:
+    """Work of the present loads on increments that move points (J). Collective.
+
+    Sources of other fields, such as the flow of water, do no work.
+
+    Args:
+        operator: The equations.
+        of: The increments; by default the present increments.
+    """
+    here, work = operator.here, 0.0
+    increments = operator.increments if of is None else of
+    for k, (load, u) in enumerate(zip(operator.loads, increments)):
+        if k not in here.movers:
+            continue
+        owned = here.unknowns.fields[k].owned_nodes
+        work -= float(np.sum(load[owned] * u[owned]))
+    return here.unknowns.comm.allreduce(work)
+
+
+def _work_at_prescribed(operator: Operator, forces: Sequence[Array]) -> float:
+    """Work of forces at prescribed components that move points (J). Collective.
+
+    Args:
+        operator: The equations.
+        forces: Forces (N), shape (nodes, components) per field, summed at the nodes' owners.
+    """
+    here, work = operator.here, 0.0
+    for k in here.movers:
+        force, u, fixed = forces[k], operator.increments[k], here.unknowns.fields[k].places[1]
+        work += float(force.reshape(-1)[fixed] @ u.reshape(-1)[fixed])
+    return here.unknowns.comm.allreduce(work)
+
+
 def work_of_loads(
     operator: Operator,
     x: Array,
@@ -102,11 +135,11 @@ def work_of_loads(
     """
     here = operator.here
     if not (here.driven or varying):
-        return operator.load_work()
+        return _load_work(operator)
     plain = Operator(operator.form, here)
     if not here.driven:
         plain.move(x, scale)
-        return plain.load_work()
+        return _load_work(plain)
     plain.move_to_start()
     start = forces_without_contact(plain)
     plain.move(x, scale)
@@ -116,7 +149,7 @@ def work_of_loads(
         # points that keep their velocities get no more than the change of the nodes' velocities
         before = kept * one.mass.times(one.V).arrays[0] + (1.0 - kept) * one.momenta
         forces[one.k] += (one.mass.times(one.motion.V_end).arrays[0] - before) / dt
-    return plain.load_work() + plain.work_at_prescribed(forces)
+    return _load_work(plain) + _work_at_prescribed(plain, forces)
 
 
 def work_at_nodes(
@@ -137,7 +170,7 @@ def work_at_nodes(
         step: The step.
     """
     V, V_end, V_move = motion
-    external = operator.load_work([step.dt * V_move])
+    external = _load_work(operator, [step.dt * V_move])
     here = operator.here
     if here.driven:
         # a prescribed motion changes the momentum of its nodes, against their forces

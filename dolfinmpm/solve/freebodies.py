@@ -6,7 +6,7 @@ the forces by contact, and F the loads of the body. Without inertia Q + F = 0. S
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -214,14 +214,17 @@ class FreeBodies:
             gaps.append((out / scale)[own])
             columns.append(-by_x / scale[own])
             blocks.append((slope / scale[:, None])[np.ix_(own, own)])
-        whole = np.zeros((sum(map(len, gaps)),) * 2)
-        at = 0
-        for block in blocks:
-            n = len(block)
-            whole[at : at + n, at : at + n] = block
-            at += n
         self.sizes = np.concatenate(sizes_of)
-        return np.concatenate(gaps), np.hstack(columns), whole
+        return np.concatenate(gaps), np.hstack(columns), _block_diagonal(blocks)
+
+
+def _block_diagonal(blocks: Sequence[Array]) -> Array:
+    """A matrix with blocks on its diagonal."""
+    ends = np.cumsum([0, *map(len, blocks)])
+    whole = np.zeros((ends[-1], ends[-1]))
+    for block, begin, end in zip(blocks, ends, ends[1:]):
+        whole[begin:end, begin:end] = block
+    return whole
 
 
 def check_masses(bodies: RigidBodies) -> None:

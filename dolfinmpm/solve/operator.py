@@ -173,35 +173,6 @@ class Operator:
         internal = self._internal(without).arrays
         return [a + b for a, b in zip(internal, self.external)]
 
-    def load_work(self, of: Sequence[Array] | None = None) -> float:
-        """Work of the present loads on increments that move points (J). Collective.
-
-        Sources of other fields, such as the flow of water, do no work.
-
-        Args:
-            of: The increments; by default the present increments.
-        """
-        unknowns, work = self.here.unknowns, 0.0
-        increments = self.increments if of is None else of
-        for k, (load, u) in enumerate(zip(self.loads, increments)):
-            if k not in self.here.movers:
-                continue
-            owned = unknowns.fields[k].owned_nodes
-            work -= float(np.sum(load[owned] * u[owned]))
-        return unknowns.comm.allreduce(work)
-
-    def work_at_prescribed(self, forces: Sequence[Array]) -> float:
-        """Work of forces at prescribed components that move points (J). Collective.
-
-        Args:
-            forces: Forces (N), shape (nodes, components) per field, summed at the nodes' owners.
-        """
-        unknowns, work = self.here.unknowns, 0.0
-        for k in self.here.movers:
-            force, u, fixed = forces[k], self.increments[k], unknowns.fields[k].places[1]
-            work += float(force.reshape(-1)[fixed] @ u.reshape(-1)[fixed])
-        return unknowns.comm.allreduce(work)
-
     @stages.evaluate
     def set_increments(self, u: Sequence[Array]) -> None:
         """Set nodal increments, and evaluate them at the points.
