@@ -63,7 +63,14 @@ with _idle_collector():
     )
     from dolfinmpm.kinematics.footing import RigidFooting
     from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
-    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid, start_at_rest
+    from dolfinmpm.solve import (
+        ArcLength,
+        QuasiStatic,
+        equilibrate,
+        reaction,
+        regrid,
+        start_at_rest,
+    )
 
 if _TYPE_CHECKING:
     from dolfinmpm import study
@@ -142,6 +149,7 @@ __all__ = [
     "poromechanics",
     "prescribed",
     "probe",
+    "reaction",
     "regrid",
     "rollers",
     "set_stress",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,16 @@ def renumbered(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArr
     return result
 
 
+@dataclass(frozen=True)
+class _SupportForces:
+    """Forces of conditions in a step: arguments of `keep_forces`, with the forces per field."""
+
+    bases: Sequence[Basis]
+    conditions: Sequence[Condition]
+    places: Sequence[npt.NDArray[np.intp]]
+    values: Sequence[Array]
+
+
 class EssentialConditions:
     """The conditions of a problem, for any numbering of the nodes. Collective.
 
@@ -81,7 +91,8 @@ class EssentialConditions:
         spaces: Spaces of the fields.
 
     Attributes:
-        conditions: The conditions.
+        given: The argument.
+        conditions: The same conditions, at the present nodes of those that follow a place.
         changing: Whether prescribed values may differ from zero in some step.
         follows: Whether some condition's nodes may change.
 
@@ -90,7 +101,7 @@ class EssentialConditions:
     """
 
     def __init__(self, conditions: Sequence[Condition], spaces: Sequence[Space]):
-        self.conditions = list(conditions)
+        self.given, self.conditions = list(conditions), list(conditions)
         self._spaces = list(spaces)
         comm = spaces[0].grid.comm
         changing = any(condition.changes for condition in conditions)
@@ -101,6 +112,8 @@ class EssentialConditions:
         # values of constants at the end of the last step; first ones are there from the start
         self._reached: list[Array] = []
         self.accept()
+        # forces that hold the body in the last step; see `keep_forces`
+        self._forces: _SupportForces | None = None
         self.at([space.basis for space in spaces], 1.0)
 
     def follow(self) -> None:
@@ -123,6 +136,7 @@ class EssentialConditions:
         for k, value in enumerate(self._constants):
             value.value = values[f"{k}"]
             self._reached[k] = np.array(values.get(f"reached {k}", value.value), float)
+        self._forces = None
 
     def accept(self) -> None:
         """Keep the values of constants at the end of a step."""
@@ -216,6 +230,48 @@ class EssentialConditions:
             near[seen.nodes[touched[group]]] = True
             result[:, condition.component] |= own & numbering.share_flags(near)
         return result
+
+    @property
+    def has_forces(self) -> bool:
+        """Whether forces are known, see `keep_forces`."""
+        return self._forces is not None
+
+    def keep_forces(
+        self, bases: Sequence[Basis], places: Sequence[npt.NDArray[np.intp]], forces: Array
+    ) -> None:
+        """Keep the forces of the conditions on the body in a step, for `force_at`.
+
+        Args:
+            bases: Basis of each field, with the overlap of the step.
+            places: Positions of the prescribed components of owned nodes in flat nodal arrays,
+                per field.
+            forces: Forces there (N), one field after the other.
+        """
+        ends = np.cumsum([own.size for own in places])[:-1]
+        pieces = np.split(forces, ends)
+        self._forces = _SupportForces(bases, list(self.conditions), places, pieces)
+
+    def force_at(self, k: int, chosen: Sequence[Condition]) -> Array:
+        """Force of some conditions on a field in the last step, on this rank. Collective.
+
+        A component of a node that several of the conditions prescribe counts once.
+
+        Args:
+            k: Number of the field.
+            chosen: Conditions among those that were given.
+
+        Returns:
+            Shape (components,).
+        """
+        kept, components = self._forces, self._spaces[k].components
+        assert kept is not None
+        basis, places = kept.bases[k], kept.places[k]
+        counts = np.zeros((basis.nodes.size, components), bool)
+        for given, condition in zip(self.given, kept.conditions):
+            if given.space is self._spaces[k] and any(given is one for one in chosen):
+                counts[:, condition.component] |= self._nodes_of(condition, basis)
+        values = np.where(counts.reshape(-1)[places], kept.values[k], 0.0)
+        return np.asarray(np.bincount(places % components, values, components), np.float64)
 
     @staticmethod
     def _nodes_of(condition: Condition, basis: Basis) -> Flags:

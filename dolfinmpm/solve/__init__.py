@@ -4,6 +4,7 @@ from dolfinmpm.solve.arclength import ArcLength, ArcRecord
 from dolfinmpm.solve.groundstart import start_at_rest
 from dolfinmpm.solve.initialbalance import equilibrate
 from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.solve.reactions import reaction
 from dolfinmpm.solve.regridding import regrid
 from dolfinmpm.solve.step import Step, StepRecord
 
@@ -14,6 +15,7 @@ __all__ = [
     "Step",
     "StepRecord",
     "equilibrate",
+    "reaction",
     "regrid",
     "start_at_rest",
 ]

@@ -75,6 +75,8 @@ class Operator:
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
         self.loads: Sequence[Array] = ()
+        # internal forces at prescribed components of owned nodes, by the last residual
+        self._reactions: Array | None = None
         # present increments relative to the increments at the level where forces balance
         self._scale = 1.0
         # entries of the constant blocks: those of the matrix, and those of prescribed columns
@@ -133,7 +135,7 @@ class Operator:
                 carries from step to step are not scaled.
         """
         self.here.unknowns.expand(x, self.here.prescribed, self._u)
-        self._scale = scale
+        self._scale, self._reactions = scale, None
         if scale != 1.0:
             for u, name in zip(self._u.arrays, self.form.values):
                 u *= scale if name is None else 1.0
@@ -268,7 +270,7 @@ class Operator:
             internal = self._internal().arrays
             external = unknowns.entries(self.external)
             values = unknowns.entries(internal) + external
-            reactions = unknowns.reactions(internal)
+            self._reactions = reactions = unknowns.reactions(internal)
             sums = np.array([values @ values, external @ external + reactions @ reactions])
             if len(unknowns.fields) == 1:
                 norm, reference = np.sqrt(unknowns.comm.allreduce(sums))
@@ -279,6 +281,17 @@ class Operator:
             found = np.sqrt(unknowns.comm.allreduce(np.vstack([sums, np.stack(each, axis=1)])))
             (norm, reference), by_field = found[0], found[1:]
             return Residual(unknowns.shared_out(values), float(norm), float(reference), by_field)
+
+    def holding_forces(self) -> Array:
+        """Forces at prescribed components that hold the present increments (N). Collective.
+
+        Returns:
+            Those of nodes that this rank owns, one field after the other.
+        """
+        unknowns, internal = self.here.unknowns, self._reactions
+        if internal is None:
+            return unknowns.reactions(self.forces())
+        return internal + unknowns.reactions(self.external)
 
     def sizes(self, matrix: PETSc.Mat, x: PETSc.Vec) -> Array:
         """Size of the contribution of each field's unknowns to each field's equations. Collective.

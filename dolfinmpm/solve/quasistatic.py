@@ -27,13 +27,7 @@ from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.description import size_and_solver
-from dolfinmpm.solve.failures import (
-    FIRST,
-    begins_unbalanced,
-    ease,
-    failed_step,
-    why_step_failed,
-)
+from dolfinmpm.solve.failures import FIRST, begins_unbalanced, ease, failed_step, why_step_failed
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.method import Tangent, symmetric
@@ -332,10 +326,14 @@ class QuasiStatic(Problem):
             )
         state: NewState | str | None = outcome.reason
         if state is None:
+            held = operator.holding_forces()
             state = self.scheme.finish(self, operator, outcome.x, step)
         if isinstance(state, str):
             return failed_step(self, operator, state)
         self._commit(operator, state)
+        here, bases = operator.here, [field.basis for field in operator.here.fields]
+        places = [field.places[1] for field in here.unknowns.fields]
+        self.essential_conditions.keep_forces(bases, places, held)
         return None
 
     def _prepare(self, step: Step) -> Failed | None:
@@ -352,10 +350,8 @@ class QuasiStatic(Problem):
 
     def _record_solution(self, outcome: Outcome) -> None:
         """Add the iterations of a solution to the record."""
-        record, linear = self._record, self.newton.linear
-        record.iterations += outcome.iterations
-        record.residuals = outcome.residuals
-        record.linear_iterations += linear.iterations
+        linear = self.newton.linear
+        self._record.add(outcome.iterations, outcome.residuals, linear.iterations)
         # a step that follows another run's solutions has not used this solver
         if outcome.reason is None and outcome.iterations and not linear.failed:
             linear.warn_of_unread_options()

@@ -87,6 +87,17 @@ class StepRecord:
     merged: int = 0
     bodies: dict[str, dict[str, list[float]]] = field(default_factory=dict)
 
+    def add(self, iterations: int, residuals: list[float], linear_iterations: list[int]) -> None:
+        """Add a solution of a substep.
+
+        Args:
+            iterations: Its Newton iterations.
+            residuals, linear_iterations: See the class.
+        """
+        self.iterations += iterations
+        self.residuals = residuals
+        self.linear_iterations += linear_iterations
+
     def _repr_html_(self) -> str:
         """The figures of the step as a table, for notebooks."""
         names = "iterations", "parts", "halvings", "unknowns", "imbalance", "seconds"

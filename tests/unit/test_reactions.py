@@ -1,0 +1,141 @@
+"""Reactions of supports balance what acts on the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+
+HENCKY = {"E": 1e6, "nu": 0.3}
+WEIGHT = 2.1 * 0.9 * 2000.0 * 10.0
+
+
+def column(basis="gimp", stabilisation="ghost", kind=mpm.QuasiStatic, refine=None, **options):
+    """A block between the left and the bottom of the grid, which cuts its last cells."""
+    lines = [np.linspace(0, 4, 9), np.linspace(0, 2, 5)]
+    grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
+    refined = {} if refine is None else {"refine": refine, "levels": 1}
+    V = mpm.Space(grid, basis, **refined)
+    whole = {} if refine is None else {"refine": V}
+    axisymmetric = options.pop("axisymmetric", False)
+    points = mpm.fill(
+        grid, mpm.Box((0, 0), (2.1, 0.9)), 3, 2000.0, axisymmetric=axisymmetric, **whole
+    )
+    F = mpm.momentum(mpm.materials.Hencky(**HENCKY), points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector([0.0, -10.0]), V.test) * points.dX
+    bottom, left = mpm.fixed(V, "bottom"), mpm.rollers(V, "left")
+    problem = kind(F, V.increment, points, bottom + left, stabilisation=stabilisation, **options)
+    return problem, bottom, left
+
+
+@pytest.mark.parametrize(
+    ("basis", "stabilisation"),
+    [("gimp", "ghost"), ("linear", "none"), ("bspline2", "ghost"), ("linear", "aggregation"),
+     ("bspline2", "extended"), ("gimp", "soft")],
+)  # fmt: skip
+def test_the_bottom_carries_the_weight(basis, stabilisation):
+    problem, bottom, left = column(basis, stabilisation)
+    problem.step()
+    force = mpm.reaction(problem, bottom)
+    np.testing.assert_allclose(force[1], WEIGHT, rtol=1e-8)
+    # the corner is held to the side by both, and counts once
+    both = mpm.reaction(problem, bottom + left)
+    np.testing.assert_allclose(both, (0.0, WEIGHT), rtol=1e-8, atol=1e-8 * WEIGHT)
+    assert mpm.reaction(problem, left)[0] != 0.0
+    assert mpm.reaction(problem, left)[1] == 0.0
+
+
+def test_on_leaves():
+    problem, bottom, left = column(refine=lambda x: np.where(x[0] < 1.0, 0.25, 0.5))
+    problem.step()
+    both = mpm.reaction(problem, bottom + left)
+    np.testing.assert_allclose(both, (0.0, WEIGHT), rtol=1e-8, atol=1e-8 * WEIGHT)
+
+
+def test_around_an_axis():
+    problem, bottom, _ = column(axisymmetric=True)
+    problem.step()
+    weight = np.pi * 2.1**2 * 0.9 * 2000.0 * 10.0
+    np.testing.assert_allclose(mpm.reaction(problem, bottom)[1], weight, rtol=1e-8)
+
+
+@pytest.mark.parametrize("kind", [mpm.Newmark, mpm.GeneralisedAlpha])
+def test_steps_in_time_balance_inertia_too(kind):
+    """The whole momentum comes from the weight and the reaction."""
+    problem, bottom, left = column(kind=kind)
+    before, impulse = 0.0, 0.0
+    for k in range(1, 6):
+        problem.step(1e-3 * k)
+        impulse += 1e-3 * (mpm.reaction(problem, bottom + left)[1] - WEIGHT)
+    after = float(problem.momentum()[1])
+    # the reaction is that at the end of a step, or within it: the sum is of first order
+    assert after < before
+    np.testing.assert_allclose(impulse, after - before, rtol=0.2)
+
+
+def test_what_a_moved_side_takes():
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(3), range(3)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1.0)
+    V = mpm.Space(grid, "linear")
+    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, V.increment, V.test)
+    bottom, top = mpm.fixed(V, "bottom"), mpm.prescribed(V, "top", 1, increment=-0.02)
+    problem = mpm.QuasiStatic(F, V.increment, points, bottom + top)
+    problem.step()
+    pushed = mpm.reaction(problem, top)
+    # the Kirchhoff stress E ln F is the first Piola–Kirchhoff stress times F = 0.99
+    np.testing.assert_allclose(pushed[1], 2.0 * 1e6 * np.log(0.99) / 0.99, rtol=1e-8)
+    np.testing.assert_allclose(mpm.reaction(problem, bottom)[1], -pushed[1], rtol=1e-8)
+
+
+def test_a_load_factor_counts():
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(3), range(3)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1.0)
+    V, load = mpm.Space(grid, "linear"), fem.Constant(grid, (0.0, -1e3))
+    F = mpm.momentum(mpm.materials.Hencky(**HENCKY), points, V.increment, V.test)
+    F -= ufl.inner(load, V.test) * points.dX
+    bottom = mpm.fixed(V, "bottom")
+    problem = mpm.ArcLength(F, V.increment, points, bottom, load=load, first=1.0)
+    for _ in range(3):
+        problem.step()
+    force = mpm.reaction(problem, bottom)
+    assert problem.factor > 1.0
+    np.testing.assert_allclose(force[1], 4e3 * problem.factor, rtol=1e-6)
+
+
+def test_nodes_that_follow_a_place():
+    """The support grows by a row of nodes, and the given conditions know their nodes then."""
+    problem, _, _ = column()
+    V, steps = problem.form.spaces[0], []
+    held = [
+        condition
+        for k in range(2)
+        for condition in mpm.prescribed(V, lambda x: x[1] < 0.1 + 0.5 * len(steps), k, follows=True)
+    ]
+    own = mpm.QuasiStatic(
+        problem.form.given, V.increment, problem.points, held, stabilisation="ghost"
+    )
+    for _ in range(2):
+        own.step()
+        steps.append(own)
+        np.testing.assert_allclose(mpm.reaction(own, held)[1], WEIGHT, rtol=1e-8)
+
+
+def test_what_has_no_reaction_is_told():
+    problem, bottom, _ = column()
+    with pytest.raises(mpm.errors.ParameterError, match="take a step first"):
+        mpm.reaction(problem, bottom)
+    problem.step()
+    _, its, _ = column()
+    with pytest.raises(mpm.errors.ParameterError, match="no condition of this problem"):
+        mpm.reaction(problem, its)
+    with pytest.raises(mpm.errors.ParameterError, match="must be a list"):
+        mpm.reaction(problem, bottom[0])
+    with pytest.raises(mpm.errors.ParameterError, match="QuasiStatic"):
+        mpm.reaction(bottom, bottom)
+    explicit, its, _ = column(kind=mpm.Explicit, stabilisation="none")
+    with pytest.raises(mpm.errors.ParameterError, match="keeps no reactions"):
+        mpm.reaction(explicit, its)
