@@ -48,7 +48,7 @@ def along_segments(
     x, areas = [np.empty((0, 2))], [np.empty((0, 2))]
     for a, b in ends:
         along = b - a
-        length = np.linalg.norm(along)
+        length = float(np.linalg.norm(along))
         cuts = [np.array([0.0, 1.0])]
         for d, line in enumerate(lines):
             if along[d] != 0:
@@ -77,8 +77,8 @@ def no_longer(line: Array, longest: float) -> Array:
 
 def _around(line: Array, a: float, b: float) -> Array:
     """The lines of the cells between two places (m)."""
-    first = np.searchsorted(line, min(a, b), side="right") - 1
-    last = np.searchsorted(line, max(a, b), side="left")
+    first = int(np.searchsorted(line, min(a, b), side="right")) - 1
+    last = int(np.searchsorted(line, max(a, b), side="left"))
     return line[max(first, 0) : last + 1]
 
 

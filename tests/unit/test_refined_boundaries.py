@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import ufl
@@ -91,6 +93,6 @@ def test_pieces_of_an_oblique_polygon_are_no_longer_than_asked():
     points = mpm.fill(grid, mpm.Box((0, 0), (4, 3)), 2, 1.0)
     ends = [(0.3, 0.1), (3.1, 2.9), (0.9, 2.7)]
     line = mpm.Boundary.from_polygon(points, ends, closed=False, spacing=0.11, rule=1)
-    length = sum(np.hypot(*np.subtract(b, a)) for a, b in zip(ends, ends[1:]))
+    length = sum(np.hypot(*np.subtract(b, a)) for a, b in itertools.pairwise(ends))
     assert line.total_area == pytest.approx(length, rel=1e-14)
     assert line.markers["V"].max() <= 0.11 * (1 + 1e-9)
