@@ -194,9 +194,9 @@ class Boundary:
             closed: Whether a segment joins the last corner to the first.
             follows, name, activates: See `Boundary`.
             rule: Gauss points per piece of a segment in a cell.
-            spacing: Greatest length of a piece (m). By default the cells of a rectangular grid
-                cut the pieces, and half a cell is the limit on other grids. Give a spacing for
-                bodies that move far, for grids with a moving fine zone, and for refined spaces.
+            spacing: Greatest length of a piece (m). The cells of a rectangular grid, in equal parts
+                that are no longer, cut the pieces; half a cell is the limit on other grids. Give it
+                for bodies that move far, moving fine zones, and leaves: the size of one or less.
 
         Raises:
             UnsupportedGridError: The grid is not in two dimensions.

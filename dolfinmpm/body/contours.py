@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["along_segments", "contour", "cut_triangles", "inside", "kuhn"]
+__all__ = ["along_segments", "contour", "cut_triangles", "inside", "kuhn", "no_longer"]
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,8 @@ def along_segments(
     Args:
         ends: First and last point of each segment (m), shape (n, 2, 2).
         lines: Grid lines (m) in each direction, where the segments are cut; or none.
-        spacing: Longest piece (m).
+        spacing: Longest piece (m). Cells are cut into equal parts first, so that pieces end where
+            leaves of a refined space do.
         rule: Gauss points of a piece.
 
     Returns:
@@ -47,10 +48,14 @@ def along_segments(
     x, areas = [np.empty((0, 2))], [np.empty((0, 2))]
     for a, b in ends:
         along = b - a
-        length = np.linalg.norm(along)
-        cuts = [np.linspace(0.0, 1.0, max(int(np.ceil(length / spacing)), 1) + 1)]
-        cuts += [(line - a[d]) / along[d] for d, line in enumerate(lines) if along[d] != 0]
+        length = float(np.linalg.norm(along))
+        cuts = [np.array([0.0, 1.0])]
+        for d, line in enumerate(lines):
+            if along[d] != 0:
+                near = no_longer(_around(line, a[d], b[d]), spacing)
+                cuts.append((near - a[d]) / along[d])
         t = np.unique(np.clip(np.concatenate(cuts), 0.0, 1.0))
+        t = no_longer(t, spacing / length)
         steps = np.diff(t)
         keep = steps > _NONE
         middle, half = 0.5 * (t[1:] + t[:-1])[keep], 0.5 * steps[keep]
@@ -59,6 +64,22 @@ def along_segments(
         x.append(a + places[:, None] * along)
         areas.append(shares[:, None] * np.array([along[1], -along[0]]))
     return np.concatenate(x), np.concatenate(areas)
+
+
+def no_longer(line: Array, longest: float) -> Array:
+    """Lines of cells, with each cell cut into equal pieces no longer than some length (m)."""
+    parts = np.maximum(np.ceil(np.diff(line) / longest - 1e-9), 1).astype(int)
+    if (parts == 1).all():
+        return line
+    begin = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(line, line[1:], parts)]
+    return np.append(np.concatenate(begin), line[-1])
+
+
+def _around(line: Array, a: float, b: float) -> Array:
+    """The lines of the cells between two places (m)."""
+    first = int(np.searchsorted(line, min(a, b), side="right")) - 1
+    last = int(np.searchsorted(line, max(a, b), side="left"))
+    return line[max(first, 0) : last + 1]
 
 
 def _half(polygon: Array, d: int, level: float, above: bool) -> Array:

@@ -20,7 +20,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.axisymmetry import ring
-from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn
+from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn, no_longer
 from dolfinmpm.body.location import bounds
 from dolfinmpm.grid.lattice import Lattice, largest_cell, lattice_of, smallest_height
 from dolfinmpm.grid.userfunctions import call_function
@@ -159,7 +159,7 @@ def side_markers(
     longest = np.inf if spacing is None else number("spacing", spacing, 0.0, unit="m")
     places, lengths = [], []
     for d, line in enumerate(lattice.lines):
-        line = _no_longer(line, longest)
+        line = no_longer(line, longest)
         middle, half = 0.5 * (line[1:] + line[:-1]), 0.5 * np.diff(line)
         across = d == axis
         places.append(line[[-end]] if across else (middle[:, None] + half[:, None] * at).ravel())
@@ -169,15 +169,6 @@ def side_markers(
     area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
     normal = np.eye(gdim)[axis] * (1.0 if end else -1.0)
     return x.reshape(-1, gdim), area * normal
-
-
-def _no_longer(line: Array, longest: float) -> Array:
-    """Lines of cells, with each cell cut into equal pieces no longer than some length (m)."""
-    parts = np.maximum(np.ceil(np.diff(line) / longest - 1e-9), 1).astype(int)
-    if (parts == 1).all():
-        return line
-    begin = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(line, line[1:], parts)]
-    return np.append(np.concatenate(begin), line[-1])
 
 
 def level_set_markers(

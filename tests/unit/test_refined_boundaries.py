@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import ufl
@@ -65,3 +67,32 @@ def test_a_wall_at_a_side_holds_leaves_as_on_a_fine_grid(gdim):
     for a, b, c in zip(fine, same, rough):
         assert np.abs(a - b).max() < 1e-8 * np.abs(a).max()
         assert np.abs(a - c).max() > 1e-6 * np.abs(a).max()
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_a_polygon_is_cut_where_leaves_end(basis):
+    """A pressure on two sides that end between the lines gives the same stress everywhere."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, 9), np.linspace(0, 3, 7)])
+    V = mpm.Space(
+        grid, basis, refine=lambda x: np.where(abs(x[0] - 1.3) < 0.4, 0.25, 0.5), levels=1
+    )
+    points = mpm.fill(grid, mpm.Box((0, 0), (2.7, 1.8)), 2, 1.0, refine=V)
+    u, v = V.increment, V.test
+    corners = [(2.7, 0), (2.7, 1.8), (0, 1.8)]
+    edge = mpm.Boundary.from_polygon(points, corners, closed=False, spacing=0.25)
+    assert edge.total_area == pytest.approx(4.5, rel=1e-14)
+    F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), points, u, v) + edge.pressure(1.0, u, v)
+    bcs = mpm.rollers(V, "left", "bottom")
+    mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-12).step()
+    expected = np.broadcast_to(-np.eye(2), (len(points), 2, 2))
+    np.testing.assert_allclose(points["stress"][:, :2, :2], expected, rtol=0, atol=1e-9)
+
+
+def test_pieces_of_an_oblique_polygon_are_no_longer_than_asked():
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.linspace(0, 4, 9), np.linspace(0, 3, 7)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 3)), 2, 1.0)
+    ends = [(0.3, 0.1), (3.1, 2.9), (0.9, 2.7)]
+    line = mpm.Boundary.from_polygon(points, ends, closed=False, spacing=0.11, rule=1)
+    length = sum(np.hypot(*np.subtract(b, a)) for a, b in itertools.pairwise(ends))
+    assert line.total_area == pytest.approx(length, rel=1e-14)
+    assert line.markers["V"].max() <= 0.11 * (1 + 1e-9)
