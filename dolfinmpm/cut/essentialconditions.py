@@ -136,7 +136,6 @@ class EssentialConditions:
         for k, value in enumerate(self._constants):
             value.value = values[f"{k}"]
             self._reached[k] = np.array(values.get(f"reached {k}", value.value), float)
-        self._forces = None
 
     def accept(self) -> None:
         """Keep the values of constants at the end of a step."""
@@ -250,6 +249,28 @@ class EssentialConditions:
         ends = np.cumsum([own.size for own in places])[:-1]
         pieces = np.split(forces, ends)
         self._forces = _SupportForces(bases, list(self.conditions), places, pieces)
+
+    def forces(self) -> dict[str, npt.NDArray[Any]]:
+        """The kept forces of this rank and their places, by name; empty if there are none."""
+        found: dict[str, npt.NDArray[Any]] = {}
+        if self._forces is not None:
+            for k, both in enumerate(zip(self._forces.places, self._forces.values)):
+                found[f"places {k}"], found[f"forces {k}"] = both
+        return found
+
+    def set_forces(self, found: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Restore forces returned by `forces`, if these are for the bases of the kept ones.
+
+        Args:
+            found: The forces of this rank, or an empty dictionary.
+        """
+        kept, self._forces = self._forces, None
+        if kept is None or not all(
+            np.array_equal(found.get(f"places {k}", ()), own) for k, own in enumerate(kept.places)
+        ):
+            return
+        values = [found[f"forces {k}"] for k in range(len(kept.places))]
+        self._forces = replace(kept, values=values)
 
     def force_at(self, k: int, chosen: Sequence[Condition]) -> Array:
         """Force of some conditions on a field in the last step, on this rank. Collective.

@@ -37,7 +37,7 @@ __all__ = ["VERSION", "Checkpoint", "read", "write"]
 Arrays = dict[str, npt.NDArray[Any]]
 State = dict[str, Any]
 
-FORMAT, VERSION = "dolfinmpm checkpoint", 5
+FORMAT, VERSION = "dolfinmpm checkpoint", 6
 
 # Number of positions that ranks exchange at a time.
 _ASKED = 50_000

@@ -36,7 +36,7 @@ from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
-from dolfinmpm.solve.restart import SolverState
+from dolfinmpm.solve.restart import SolverState, SupportForces
 from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.setup import Stabilisations
 from dolfinmpm.solve.step import Failed, Step, StepRecord
@@ -387,7 +387,8 @@ class QuasiStatic(Problem):
 
     def keeping(self) -> list[tuple[str, HasState]]:
         """See `Problem`."""
-        return [*super().keeping(), ("solver", SolverState(self))]
+        supports = SupportForces(self.essential_conditions)
+        return [*super().keeping(), ("supports", supports), ("solver", SolverState(self))]
 
     @property
     def last_residual(self) -> str:

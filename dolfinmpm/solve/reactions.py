@@ -41,9 +41,8 @@ def reaction(problem: Problem, conditions: Sequence[Condition]) -> Array:
         forces.
 
     Raises:
-        ParameterError: The problem is an explicit one, has taken no step, or is one of
-            `study.differentiate`. Or a condition belongs to another problem or to a field that
-            moves no points.
+        ParameterError: The problem is an explicit one or has taken no step, or a condition belongs
+            to another problem or to a field that moves no points.
 
     A block rests on the bottom of the grid, where 2 m · 1 m · 2000 kg/m³ · 10 m/s² press:
 
@@ -70,10 +69,7 @@ def reaction(problem: Problem, conditions: Sequence[Condition]) -> Array:
         )
     held, spaces = problem.essential_conditions, problem.form.spaces
     if not held.has_forces:
-        raise ParameterError(
-            "there are no reactions yet: take a step first, also after `load`. Derivatives of runs "
-            "keep none: measure the force of an mpm.Boundary or of a rigid body there"
-        )
+        raise ParameterError("there are no reactions yet: take a step first, also after `load`")
     raise_together(problem.comm, _fault(problem, conditions))
     total = np.sum([held.force_at(k, conditions) for k in movers(spaces)], axis=0)
     return np.asarray(problem.comm.allreduce(total, op=MPI.SUM))

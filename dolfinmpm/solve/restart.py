@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from dolfinmpm._platform.errors import CheckpointError, raise_together
 from dolfinmpm.assembly.state import Local
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.pattern import KeptCouplings
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.description import describe, warn_of_differences
@@ -150,6 +151,28 @@ def _array(item: Any) -> npt.NDArray[np.float64]:
     """The values of a DOLFINx constant or function."""
     values: npt.NDArray[np.float64] = item.x.array if hasattr(item, "x") else item.value
     return values
+
+
+class SupportForces:
+    """Forces of the supports in the last step, for `dolfinmpm.solve.reactions`.
+
+    Other ranks, and a problem that has taken no step, do without them.
+
+    Args:
+        conditions: The conditions of the problem.
+    """
+
+    def __init__(self, conditions: EssentialConditions):
+        self._conditions = conditions
+
+    def state(self) -> dict[str, Any]:
+        """The forces, by name; see `dolfinmpm.assembly.state`."""
+        return {name: Local(values) for name, values in self._conditions.forces().items()}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Restore a state returned by `state`."""
+        local = {name: one.values for name, one in values.items() if isinstance(one, Local)}
+        self._conditions.set_forces(local)
 
 
 class SolverState:

@@ -124,6 +124,60 @@ def test_nodes_that_follow_a_place():
         np.testing.assert_allclose(mpm.reaction(own, held)[1], WEIGHT, rtol=1e-8)
 
 
+def pressed(m):
+    """Soil that yields under a strip which is pressed into it."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 3, 7), np.linspace(0, 2, 5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2.1, 1.0)), 2, 2000.0)
+    V = mpm.Space(grid, "gimp")
+    law = mpm.materials.VonMises(E=m["E"], nu=0.3, yield_stress=m["strength"])
+    F = mpm.momentum(law, points, V.increment, V.test)
+    strip = mpm.prescribed(
+        V, lambda x: (np.abs(x[1] - 1.0) < 1e-9) & (x[0] < 1.1), 1, increment=-0.01
+    )
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, mpm.fixed(V, "bottom") + strip, stabilisation="ghost",
+        tolerance=1e-12,
+    )  # fmt: skip
+    return problem, lambda: mpm.reaction(problem, strip)[1]
+
+
+def test_derivatives_of_a_reaction():
+    m = {"E": 1e6, "strength": 2e4}
+
+    def scene(m):
+        problem, force = pressed(m)
+        return mpm.study.Run(problem, [problem.step] * 3, {"force": force})
+
+    def last(m):
+        problem, force = pressed(m)
+        for _ in range(3):
+            problem.step()
+        return force()
+
+    found = mpm.study.differentiate(scene, m)
+    assert found.figures["force"][-1] == pytest.approx(last(m), rel=1e-10)
+    for name, value in m.items():
+        up, down = (last({**m, name: value * (1 + h)}) for h in (1e-4, -1e-4))
+        by_log = (up - down) / 2e-4
+        assert found.derivatives["force"][name][-1] == pytest.approx(by_log, rel=1e-6)
+
+
+def test_a_restored_state_has_its_reaction(tmp_path):
+    problem, force = pressed({"E": 1e6, "strength": 2e4})
+    problem.step()
+    first = force()
+    problem.save(tmp_path / "one")
+    problem.step()
+    assert force() < 1.5 * first < 0.0
+    problem.load(tmp_path / "one")
+    assert force() == first
+    # a new problem does not know the nodes of the step
+    other, force = pressed({"E": 1e6, "strength": 2e4})
+    other.load(tmp_path / "one")
+    with pytest.raises(mpm.errors.ParameterError, match="take a step first"):
+        force()
+
+
 def test_what_has_no_reaction_is_told():
     problem, bottom, _ = column()
     with pytest.raises(mpm.errors.ParameterError, match="take a step first"):
