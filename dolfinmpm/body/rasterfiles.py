@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 
 _HEIGHTS = "nan", "inf", "infinity"
 _TEXT = {".asc", ".txt", ".grd"}
+_METRES = {"m", "metre", "metres", "meter", "meters"}
 _REQUIRED = "ncols", "nrows"
 
 
@@ -43,7 +44,7 @@ def read_raster(path: Any) -> Raster:
 
     Raises:
         OSError: There is no such file, or it is broken.
-        ParameterError: The argument is no path, or the raster is turned.
+        ParameterError: The argument is no path, the raster is turned, or its unit is no metre.
         MissingPackageError: The file is no ASCII grid, and rasterio is not installed.
     """
     file = file_path("raster", path)
@@ -108,9 +109,12 @@ def _by_rasterio(file: Path) -> Raster:
     try:
         with rasterio.open(file) as data:
             band = data.read(1, masked=True).astype(np.float64).filled(np.nan)
-            to = data.transform
+            to, system = data.transform, data.crs
+            # files of whole numbers store heights by a scale
+            scale, offset, unit = data.scales[0], data.offsets[0], data.units[0]
     except rasterio.errors.RasterioError as error:
         raise OSError(f"rasterio cannot read {file}: {error}") from error
+    _check_units(file, system, unit)
     if to.b != 0.0 or to.d != 0.0:
         raise ParameterError(
             f"the raster {file} is turned against north (terms {to.b:g} and {to.d:g} of its "
@@ -118,9 +122,37 @@ def _by_rasterio(file: Path) -> Raster:
         )
     x = to.c + to.a * (np.arange(band.shape[1]) + 0.5)
     y = to.f + to.e * (np.arange(band.shape[0]) + 0.5)
-    z = band.T
+    z = scale * band.T + offset
     if to.a < 0.0:
         x, z = x[::-1], z[::-1]
     if to.e < 0.0:
         y, z = y[::-1], z[:, ::-1]
     return Raster(x.copy(), y.copy(), np.ascontiguousarray(z))
+
+
+def _check_units(file: Path, system: Any, unit: str | None) -> None:
+    """Check that coordinates and heights are in metres, as far as the file tells.
+
+    Args:
+        file: The file, for messages.
+        system: Coordinate reference system of rasterio, or None.
+        unit: Unit of the heights, or None.
+
+    Raises:
+        ParameterError: Coordinates are in degrees or feet, or heights are not in metres.
+    """
+    if system and system.is_geographic:
+        raise ParameterError(
+            f"the raster {file} has coordinates in degrees, not in metres: project it with "
+            "gdalwarp -t_srs, to UTM for instance"
+        )
+    if system and system.is_projected and abs(system.linear_units_factor[1] - 1.0) > 1e-9:
+        raise ParameterError(
+            f"the raster {file} has coordinates in {system.linear_units}, not in metres: project "
+            "it with gdalwarp -t_srs"
+        )
+    if unit and unit.lower() not in _METRES:
+        raise ParameterError(
+            f"the raster {file} has heights in '{unit}', not in metres: convert them, and give "
+            "them as an array, or set the unit of the file with gdal_edit -units m"
+        )

@@ -107,7 +107,8 @@ class Terrain:
                 their datum.
 
         Raises:
-            ParameterError: An argument is out of range, or heights in the window are not known.
+            ParameterError: An argument is out of range, heights in the window are not known, or
+                the file says that it is not in metres.
             OSError: The file is missing or broken.
             MissingPackageError: The file needs rasterio, and rasterio is not installed.
 

@@ -254,7 +254,29 @@ class GridMotion:
         """Mean accelerations of the nodes of a field by contact (m/s²). Collective."""
         forces = one.mass.nodal()
         forces.arrays[0][:] = mean_contact_forces(operator)[one.k]
-        return one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
+        push = one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
+        one.held = one.mass.times(push).arrays[0] - forces.arrays[0]
+        return push
+
+    def excess_of_supports(self, operator: Operator) -> Array:
+        """Part of the holding forces by which contact counts more than once. Collective.
+
+        The equations contain the mean forces of contact with a weight, which the accelerations do
+        not keep; see `NewmarkRule.with_contact`.
+
+        Args:
+            operator: The step's equations, after `end`.
+
+        Returns:
+            Forces (N) in the order of `Operator.holding_forces`.
+        """
+        unknowns, means = operator.here.unknowns, operator.form.contact_weights
+        found = unknowns.nodal().arrays
+        for one in self.nodes:
+            if one.held is not None:
+                assert means is not None
+                found[one.k][:] = (means.weight - 1.0) * one.held
+        return unknowns.reactions(found)
 
     def _from_nodes(self, one: MovingNodes, operator: Operator) -> dict[str, Array]:
         """New motion of the points of a field. Rows of other points have no meaning. Collective."""

@@ -47,6 +47,8 @@ class MovingNodes:
         momenta: Momenta mapped from the points (kg m/s), shape (nodes, d).
         V, A: Velocities (m/s) and accelerations (m/s²) at the start, shape (nodes, d).
         motion: Motion up to the end of the step, as soon as it is known.
+        held: Forces that hold prescribed components against the mean forces of contact (N), shape
+            (nodes, d), or None without contact.
     """
 
     k: int
@@ -56,6 +58,7 @@ class MovingNodes:
     V: Array
     A: Array
     motion: NodalMotion = field(init=False)
+    held: Array | None = None
 
 
 def mean_contact_forces(operator: Operator) -> list[Array]:

@@ -301,6 +301,12 @@ class NewmarkScheme(TimedScheme):
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
 
+    def holding_forces(self, operator: Operator, held: Array) -> Array:
+        """See `Static`. Collective."""
+        if not operator.form.contact_weights:
+            return held
+        return np.asarray(held - self.motion.excess_of_supports(operator))
+
     def _judge(self, here: Activation, dt: float) -> tuple[str | None, float]:
         """Bound the error of a step's displacement, and choose the next length. Collective.
 

@@ -28,10 +28,11 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.terrain import Terrain
 from dolfinmpm.grid.userfunctions import call_function
 from dolfinmpm.materials.sands import Sand
 
-__all__ = ["Deposit", "Layer"]
+__all__ = ["Deposit", "Layer", "check_dimension"]
 
 Array = npt.NDArray[np.float64]
 Height = float | Callable[[Array], npt.ArrayLike]
@@ -306,6 +307,7 @@ class Deposit:
 
     def _height(self, what: str, height: Height, x: Array) -> Array:
         if callable(height):
+            check_dimension(what, height, len(x))
             values = call_function(what, height, x.T)
             bad = np.flatnonzero(~np.isfinite(values))
             if bad.size:
@@ -327,6 +329,24 @@ class Deposit:
         for layer, value in zip(self.layers[-2::-1], values[-2::-1]):
             found[at[-1] >= self._height("bottom", layer.bottom, at)] = value
         return found
+
+
+def check_dimension(what: str, height: Any, gdim: int) -> None:
+    """Raise an error where a terrain of another dimension would take heights for positions.
+
+    Args:
+        what: Name of the height, for messages.
+        height: A number, a function or a terrain.
+        gdim: Dimension of the positions.
+
+    Raises:
+        ParameterError: The height is a terrain of another dimension.
+    """
+    if isinstance(height, Terrain) and height.gdim != gdim:
+        raise ParameterError(
+            f"{what} is a terrain in {height.gdim}D, and positions have {gdim} coordinates: take "
+            "terrain.section(start, end) for a section in 2D"
+        )
 
 
 def _wet(layer: Layer) -> float:

@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.body.pointchecks import seal_stress
 from dolfinmpm.grid.userfunctions import call_function
+from dolfinmpm.kinematics.deposits import check_dimension
 from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
 from dolfinmpm.kinematics.strainhistory import GIVEN, MARKS
 from dolfinmpm.materials.elasticinverse import belong, elastic_strain
@@ -266,6 +267,8 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
             raise ParameterError(
                 f"x has the shape {x.shape} and must have (gdim, n): points['x'].T"
             )
+        for name, value, _ in limits:
+            check_dimension(name, value, len(x))
         top, heavy, ratio = (
             checked(name, call_function(name, value, x.T) if callable(value) else value, low)
             for name, value, low in limits

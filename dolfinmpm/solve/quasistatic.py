@@ -330,6 +330,7 @@ class QuasiStatic(Problem):
             state = self.scheme.finish(self, operator, outcome.x, step)
         if isinstance(state, str):
             return failed_step(self, operator, state)
+        held = self.scheme.holding_forces(operator, held)
         self._commit(operator, state)
         here, bases = operator.here, [field.basis for field in operator.here.fields]
         places = [field.places[1] for field in here.unknowns.fields]

@@ -109,6 +109,15 @@ class Static(Scheme):
         """
         return new_state(problem, operator)
 
+    def holding_forces(self, operator: Operator, held: Array) -> Array:
+        """Forces of conditions on the body, after `finish` (N). Collective.
+
+        Args:
+            operator: The step's equations.
+            held: Forces that hold the increments in these equations.
+        """
+        return held
+
     def add_body_work(self, work: float) -> None:
         """Add the work done by rigid bodies in a step (J)."""
 

@@ -101,6 +101,22 @@ def test_the_last_layer_goes_on_below_its_bottom():
         np.testing.assert_allclose(slope, ground.effective_weight(x), rtol=1e-6)
 
 
+def test_a_surface_of_another_dimension_is_refused():
+    """A surface in 3D took the heights of a section for its second horizontal coordinate."""
+    hill = mpm.Terrain(([0, 20], [0, 10]), [[4, 6], [8, 10]])
+    x, layer = np.array([[10.0, 10.0], [1.0, 3.0]]), mpm.Layer(0.0, 18e3, 0.5)
+    for stress in (
+        mpm.Deposit(hill, layer).stress,
+        mpm.Deposit(9.0, layer, water_table=hill).stress,
+        mpm.Deposit(9.0, [mpm.Layer(hill, 18e3, 0.5), layer]).stress,
+        mpm.geostatic_stress(hill, 18e3, 0.5),
+    ):
+        with pytest.raises(ParameterError, match="is a terrain in 3D"):
+            stress(x)
+    section = mpm.Deposit(hill.section((0, 2), (20, 2)), layer)
+    np.testing.assert_allclose(section.vertical_stress(x), [-18e3 * 5.4, -18e3 * 3.4])
+
+
 def test_weight_is_the_slope_of_the_vertical_stress_under_water_and_above():
     ground = layered(table=7.0)
     z = np.linspace(0.05, 4.95, 99) + 0.003

@@ -77,6 +77,28 @@ def test_steps_in_time_balance_inertia_too(kind):
     np.testing.assert_allclose(impulse, after - before, rtol=0.2)
 
 
+@pytest.mark.parametrize("mass", ["consistent", "lumped"])
+def test_contact_counts_once_in_steps_in_time(mass):
+    """A stamp presses a layer one cell high, whose nodes at the bottom it reaches."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 4, 9), np.linspace(0, 2, 5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 0.45)), 3, 1.0)
+    V = mpm.Space(grid, "gimp")
+    stamp = mpm.RigidBody(mpm.Box((0.6, 0.45), (1.2, 0.85)), velocity=(0.0, -0.3), name="stamp")
+    F = mpm.momentum(mpm.materials.Hencky(1e3, 0.3), points, V.increment, V.test)
+    F += mpm.contact(stamp, points, V.increment, V.test)
+    bottom = mpm.fixed(V, "bottom")
+    problem = mpm.Newmark(F, V.increment, points, bottom, stabilisation="ghost", mass=mass)
+    needed, means, before, momentum = [], [], 0.0, 0.0
+    for k in range(1, 21):
+        problem.step(0.005 * k)
+        after, now = mpm.reaction(problem, bottom)[1], problem.momentum()[1]
+        needed.append((now - momentum) / 0.005 + stamp.force[1])
+        means.append(0.5 * (before + after))
+        before, momentum = after, now
+    # the force of contact changes from step to step: both are equal to first order
+    np.testing.assert_allclose(means, needed, rtol=0, atol=0.04 * max(needed))
+
+
 def test_what_a_moved_side_takes():
     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(3), range(3)])
     points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1.0)

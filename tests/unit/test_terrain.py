@@ -166,26 +166,64 @@ def test_geotiff_needs_rasterio(tmp_path, monkeypatch):
         mpm.Terrain.from_raster(tmp_path / "dem.tif")
 
 
-def test_a_turned_raster_is_refused(tmp_path, monkeypatch):
-    class Opened:
-        transform = types.SimpleNamespace(a=1.0, b=0.1, c=0.0, d=0.1, e=-1.0, f=0.0)
+class Opened:
+    """A file as rasterio opens it, in metres, with two rows of whole numbers."""
 
-        def __enter__(self):
-            return self
+    crs, units, scales, offsets = None, (None,), (1.0,), (0.0,)
+    transform = types.SimpleNamespace(a=1.0, b=0.0, c=0.0, d=0.0, e=-1.0, f=0.0)
 
-        def __exit__(self, *_):
-            return False
+    def __init__(self, **entries):
+        vars(self).update(entries)
 
-        def read(self, band, masked):
-            return np.ma.array(np.ones((2, 2)))
+    def __enter__(self):
+        return self
 
+    def __exit__(self, *_):
+        return False
+
+    def read(self, band, masked):
+        return np.ma.masked_equal(np.array([[10, 20], [30, 40]], np.int16), -1)
+
+
+def opened(tmp_path, monkeypatch, **entries):
     own = types.SimpleNamespace(
-        open=lambda file: Opened(), errors=types.SimpleNamespace(RasterioError=OSError)
+        open=lambda file: Opened(**entries), errors=types.SimpleNamespace(RasterioError=OSError)
     )
     (tmp_path / "dem.tif").write_bytes(b"II*\0")
     monkeypatch.setitem(sys.modules, "rasterio", own)
-    with pytest.raises(ParameterError, match="turned against north"):
-        mpm.Terrain.from_raster(tmp_path / "dem.tif")
+    return mpm.Terrain.from_raster(tmp_path / "dem.tif")
+
+
+def system(**entries):
+    """A coordinate reference system of rasterio."""
+    names = {"is_geographic": False, "is_projected": True, "linear_units": "metre"}
+    return types.SimpleNamespace(**{**names, "linear_units_factor": ("metre", 1.0), **entries})
+
+
+TURNED = types.SimpleNamespace(a=1.0, b=0.1, c=0.0, d=0.1, e=-1.0, f=0.0)
+DEGREES = system(is_geographic=True, is_projected=False)
+FEET = system(linear_units="US survey foot", linear_units_factor=("US survey foot", 0.3048006))
+
+
+@pytest.mark.parametrize(
+    ("entries", "text"),
+    [
+        ({"transform": TURNED}, "turned against north"),
+        ({"crs": DEGREES}, "coordinates in degrees"),
+        ({"crs": FEET}, "coordinates in US survey foot"),
+        ({"crs": system(), "units": ("ft",)}, "heights in 'ft'"),
+    ],
+)
+def test_rasters_of_other_units_or_directions_are_refused(tmp_path, monkeypatch, entries, text):
+    with pytest.raises(ParameterError, match=text):
+        opened(tmp_path, monkeypatch, **entries)
+
+
+def test_heights_have_the_scale_of_the_file(tmp_path, monkeypatch):
+    """Whole numbers with a scale and an offset were read as metres."""
+    more = {"scales": (0.1,), "offsets": (100.0,), "crs": system(), "units": ("m",)}
+    hill = opened(tmp_path, monkeypatch, **more)
+    np.testing.assert_allclose(hill.heights, [[103.0, 101.0], [104.0, 102.0]], rtol=1e-14)
 
 
 # -- layers ---------------------------------------------------------------------------------
