@@ -47,8 +47,9 @@ def warn_of_slivers(form: ufl.Form, points: MaterialPoints, fields: Sequence[Fie
     names = [name for name in names if f"{name}_area" in known]
     if lattice is None or not names:
         return
-    passed = [_passes(points, lattice, name) for name in names]
-    passed = points.comm.allreduce(np.array(passed), op=MPI.LOR)
+    own = np.array([_passes(points, lattice, name) for name in names], np.int32)
+    passed = np.zeros_like(own)
+    points.comm.Allreduce(own, passed, op=MPI.MAX)
     if passed.any():
         name = names[int(np.argmax(passed))]
         warn(

@@ -45,7 +45,8 @@ def test_a_loaded_face_that_passes_a_grid_line_is_told(stabilisation):
     moved, told = pulled(stabilisation=stabilisation)
     assert moved[1] > 1.5 * moved[0]  # wrong by far: two equal pulls move the end equally
     assert len(told) == 1
-    assert f'stabilisation="{stabilisation}"' in told[0] and "'end'" in told[0]
+    assert f'stabilisation="{stabilisation}"' in told[0]
+    assert "'end'" in told[0]
 
 
 @pytest.mark.parametrize(
