@@ -124,6 +124,16 @@ def _extent(comm: MPI.Intracomm, x: npt.NDArray[np.float64]) -> tuple[Any, Any]:
     return low, high
 
 
+def _between_lines(space: Space) -> str:
+    """What to know of the nodes of quadratic splines, for messages."""
+    if getattr(space.basis, "degree", 1) != 2:
+        return ""
+    return (
+        ". Within the grid, nodes of quadratic splines are in the middles of cells, and none is on "
+        "a grid line; hold a line with mpm.dirichlet on a Boundary"
+    )
+
+
 def _nodes(
     space: Space, where: Where, may_be_empty: bool = False
 ) -> tuple[npt.NDArray[np.int32], str]:
@@ -144,7 +154,7 @@ def _nodes(
         low, high = _extent(comm, x)
         raise ParameterError(
             f"'{name}' chooses no node of the grid; the nodes lie from {low} to {high} m: check "
-            "the coordinates, and compare them with np.isclose"
+            f"the coordinates, and compare them with np.isclose{_between_lines(space)}"
         )
     # a function without a name is described by the positions of its nodes
     return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
@@ -169,7 +179,8 @@ def prescribed(
         where: A side, by its axis, "x-", "x+", "y-", ..., or by its name: "left", "right" (first
             axis), "bottom", "top" (last axis), "front", "back" (second axis in 3D); or a function
             of node positions (m), shape (gdim, n), that returns n booleans; see
-            `dolfinmpm.grid.userfunctions`.
+            `dolfinmpm.grid.userfunctions`. Within the grid, quadratic splines have their nodes in
+            the middles of cells and hold no grid line: take `mpm.dirichlet` there.
         component: Component of the field.
         increment: Increment per step (m for a displacement), of a field that moves points: a
             number, a scalar DOLFINx constant, or a function of node positions like `where` that

@@ -23,7 +23,7 @@ __all__ = ["PointField", "no_field"]
 
 _IN_TIME = "mpm.Newmark, mpm.GeneralisedAlpha or mpm.Explicit gives it to them when it is made"
 _OF_LAW = "a law gives it to them when the problem is made"
-_OF_WATER = "mpm.poromechanics gives it to them when it is called"
+_OF_WATER = "a problem gives it to them when it is made from a form of mpm.poromechanics"
 _MAKERS = {
     "velocity": _IN_TIME,
     "acceleration": _IN_TIME,

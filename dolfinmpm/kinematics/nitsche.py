@@ -14,6 +14,9 @@ method needs a penalty k above the constant of ∫ |t_e(v)|² da ≤ k a(v, v).
 `dolfinmpm.assembly.nitschepenalty` computes this constant from the cells with their stabilisation
 against small cuts, and k is twice the constant. The penalty method has only the last term.
 
+With F-bar, a(v, v) lacks the volume changes that differ between the points of a cell, and t_e has
+them. Where such a body yields, nothing bounds the constant: k is then at least 20 M/h.
+
 The gap is the deviation w at the end of the last step, so that deviations do not accumulate.
 Explicit steps have forces from the gap and from the stress at the start of a step, see
 `dolfinmpm.dynamics.boundaryforces`. Ghost penalties do not act in explicit steps. Nitsche's
@@ -182,8 +185,9 @@ def dirichlet(
         strain, tag: As for `momentum`; the condition is at markers whose nearest point
             has the tag.
         penalty: k in units of M/h: M is the P-wave modulus of the law's elasticity, h the size of
-            the largest cell. By default that of the cells' own constants for "nitsche", 1 for
-            "skew" and 1000 for "penalty", of which explicit steps are short: give some 10 there.
+            the largest cell. By default that of the cells' own constants for "nitsche", with F-bar
+            at least 20, 1 for "skew" and 1000 for "penalty", of which explicit steps are short:
+            give some 10 there.
             `mpm.stiffness_per_area` tells k.
         stiffness_per_area: k itself (Pa/m), instead.
 

@@ -206,8 +206,11 @@ class WeakForm:
         laws = self.parts.declarations
         tied = any(f.C is not None for f in here.fields) or bool(here.blocks_of("penalty"))
         stabilised = tied or (ghost and GHOST_FACETS in self.moving)
+        sharing = [d.u for d in laws if d.fbar]
         for boundary in self.boundaries:
-            boundary.set_penalties(here, lambda: self._moduli_of(laws), increments, stabilised)
+            boundary.set_penalties(
+                here, lambda: self._moduli_of(laws), increments, stabilised, sharing
+            )
 
     def _first_moduli(self) -> None:
         """Set elastic moduli at points without moduli of a tangent."""

@@ -36,6 +36,9 @@ __all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
 Array = npt.NDArray[np.float64]
 # Constants of cells with a stabilisation are kept while the boundary moves less than this share
 _STILL = 0.02
+# Least penalty of Nitsche's method where the body has F-bar, in units of M/h: 5 let a cavity in
+# yielding clay bulge, 10 did not
+_SHARED = 20.0
 
 
 class BoundaryTerm(Term):
@@ -110,6 +113,7 @@ class BoundaryTerm(Term):
         moduli: Callable[[], Array],
         increments: Sequence[Any],
         stabilised: bool,
+        sharing: Sequence[Any] = (),
     ) -> None:
         """Set the penalties of weak conditions for a step. Collective.
 
@@ -119,6 +123,7 @@ class BoundaryTerm(Term):
             increments: Increments of the fields.
             stabilised: Whether a stabilisation bounds the constants of cells with small cuts. Then
                 the constants change little with the cut.
+            sharing: Increments of the bodies with F-bar.
         """
         markers = self.markers
         rows = np.sort(here.fields[0].of_markers[markers.number].order)
@@ -141,7 +146,11 @@ class BoundaryTerm(Term):
                 markers[f"{TRACE}_cell"] = _middles(self.boundary, first)
             for condition in local:
                 of_law = condition.declaration.rows
-                markers[condition.stiffness][of_law] = 2.0 * markers[TRACE][of_law]
+                k = 2.0 * markers[TRACE][of_law]
+                if any(u is one for one in sharing):
+                    M = condition.declaration.elastic.moduli()[:, 0]
+                    k = np.maximum(k, _SHARED * M / _sizes(self.boundary, first)[of_law])
+                markers[condition.stiffness][of_law] = k
 
     def energy(self) -> tuple[float, float]:
         """See `Term`: of its walls. Collective."""
