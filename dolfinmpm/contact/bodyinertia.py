@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dolfinmpm.contact.bodymotion import rotation_of
 from dolfinmpm.contact.rigidbody import RigidBody
 
-__all__ = ["accelerate", "find_acceleration", "inertial_forces"]
+__all__ = ["accelerate", "find_acceleration", "inertial_forces", "skew"]
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _ITERATIONS, _ROUNDING = 50, 1e-15
 
 
 def skew(v: Array) -> Array:
-    """Matrix of the product v × w, shape (3, 3)."""
+    """Matrix of the product v × w, shape (3, 3), of a vector v, shape (3,)."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 

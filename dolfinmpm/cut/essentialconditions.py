@@ -22,6 +22,7 @@ from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.activecells import active_nodes
 from dolfinmpm.grid.sides import side_of
 from dolfinmpm.grid.userfunctions import call_function, choose
@@ -74,8 +75,15 @@ def renumbered(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArr
 
 
 @dataclass(frozen=True)
-class _SupportForces:
-    """Forces of conditions in a step: arguments of `keep_forces`, with the forces per field."""
+class _KeptForces:
+    """Forces of conditions on the body in a step.
+
+    Attributes:
+        bases: Basis of each field, with the overlap of the step.
+        conditions: The conditions, at their nodes in the step.
+        places: Positions of prescribed components of owned nodes in flat nodal arrays, per field.
+        values: Forces there (N), per field.
+    """
 
     bases: Sequence[Basis]
     conditions: Sequence[Condition]
@@ -113,7 +121,7 @@ class EssentialConditions:
         self._reached: list[Array] = []
         self.accept()
         # forces that hold the body in the last step; see `keep_forces`
-        self._forces: _SupportForces | None = None
+        self._forces: _KeptForces | None = None
         self.at([space.basis for space in spaces], 1.0)
 
     def follow(self) -> None:
@@ -235,20 +243,17 @@ class EssentialConditions:
         """Whether forces are known, see `keep_forces`."""
         return self._forces is not None
 
-    def keep_forces(
-        self, bases: Sequence[Basis], places: Sequence[npt.NDArray[np.intp]], forces: Array
-    ) -> None:
+    def keep_forces(self, here: Activation, forces: Array) -> None:
         """Keep the forces of the conditions on the body in a step, for `force_at`.
 
         Args:
-            bases: Basis of each field, with the overlap of the step.
-            places: Positions of the prescribed components of owned nodes in flat nodal arrays,
-                per field.
-            forces: Forces there (N), one field after the other.
+            here: The activation of the step.
+            forces: Forces at prescribed components of owned nodes (N), one field after the other.
         """
+        places = [field.places[1] for field in here.unknowns.fields]
         ends = np.cumsum([own.size for own in places])[:-1]
-        pieces = np.split(forces, ends)
-        self._forces = _SupportForces(bases, list(self.conditions), places, pieces)
+        bases = [field.basis for field in here.fields]
+        self._forces = _KeptForces(bases, list(self.conditions), places, np.split(forces, ends))
 
     def forces(self) -> dict[str, npt.NDArray[Any]]:
         """The kept forces of this rank and their places, by name; empty if there are none."""
@@ -265,12 +270,13 @@ class EssentialConditions:
             found: The forces of this rank, or an empty dictionary.
         """
         kept, self._forces = self._forces, None
-        if kept is None or not all(
-            np.array_equal(found.get(f"places {k}", ()), own) for k, own in enumerate(kept.places)
-        ):
+        if kept is None:
             return
-        values = [found[f"forces {k}"] for k in range(len(kept.places))]
-        self._forces = replace(kept, values=values)
+        # a rank without prescribed components must not take missing forces for none
+        own = [(found.get(f"places {k}"), places) for k, places in enumerate(kept.places)]
+        if all(saved is not None and np.array_equal(saved, now) for saved, now in own):
+            values = [found[f"forces {k}"] for k in range(len(own))]
+            self._forces = replace(kept, values=values)
 
     def force_at(self, k: int, chosen: Sequence[Condition]) -> Array:
         """Force of some conditions on a field in the last step, on this rank. Collective.

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from ufl.algorithms import extract_coefficients
 
 from dolfinmpm._platform.errors import SoftVolumeWarning, warn
+from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field
 from dolfinmpm.grid.lattice import Lattice, lattice_of
@@ -42,7 +43,9 @@ def warn_of_slivers(form: ufl.Form, points: MaterialPoints, fields: Sequence[Fie
     ):  # fmt: skip
         return
     lattice = lattice_of(points.grid)
-    known = {c.name for c in extract_coefficients(form) if getattr(c, "name", None)}
+    fields_in_form = [c for c in extract_coefficients(form) if isinstance(c, PointField)]
+    # numbers of the user may have such names, too
+    known = {c.name for c in fields_in_form if c.ufl_shape == (points.gdim,)}
     names = sorted(n.removesuffix("_offset") for n in known if n.endswith("_offset"))
     names = [name for name in names if f"{name}_area" in known]
     if lattice is None or not names:

@@ -332,9 +332,7 @@ class QuasiStatic(Problem):
             return failed_step(self, operator, state)
         held = self.scheme.holding_forces(operator, held)
         self._commit(operator, state)
-        here, bases = operator.here, [field.basis for field in operator.here.fields]
-        places = [field.places[1] for field in here.unknowns.fields]
-        self.essential_conditions.keep_forces(bases, places, held)
+        self.essential_conditions.keep_forces(operator.here, held)
         return None
 
     def _prepare(self, step: Step) -> Failed | None:

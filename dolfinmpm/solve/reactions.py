@@ -68,8 +68,8 @@ def reaction(problem: Problem, conditions: Sequence[Condition]) -> Array:
             "an mpm.Boundary"
         )
     held, spaces = problem.essential_conditions, problem.form.spaces
-    if not held.has_forces:
-        raise ParameterError("there are no reactions yet: take a step first, also after `load`")
+    missing = ParameterError("there are no reactions yet: take a step first, also after `load`")
+    raise_together(problem.comm, None if held.has_forces else missing)
     raise_together(problem.comm, _fault(problem, conditions))
     total = np.sum([held.force_at(k, conditions) for k in movers(spaces)], axis=0)
     return np.asarray(problem.comm.allreduce(total, op=MPI.SUM))

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -62,3 +63,15 @@ def test_what_the_warning_advises_is_right(options):
 def test_faces_within_a_cell_and_bodies_without_f_bar_are_not_told():
     assert not pulled(pull=-2e4)[1]
     assert not pulled(fbar=False)[1]
+
+
+def test_numbers_of_the_user_with_such_names_are_no_surface():
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(4), range(4)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 2000.0)
+    V = mpm.Space(grid, "gimp")
+    offset, area = points.add_field("pile_offset", (), "m"), points.add_field("pile_area", (), "m")
+    points["pile_area"] = 1.0
+    F = mpm.momentum(Hencky(1e7, 0.3), points, V.increment, V.test, fbar=True)
+    F += ufl.inner(offset * area * V.increment, V.test) * points.dX
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    assert problem.step().halvings == 0

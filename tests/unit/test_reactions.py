@@ -200,6 +200,21 @@ def test_a_restored_state_has_its_reaction(tmp_path):
         force()
 
 
+def test_forces_of_another_run_are_not_taken_without_supports():
+    """As on a rank without prescribed nodes that restores the state of another number of ranks."""
+    problem, _, _ = column()
+    V = problem.form.spaces[0]
+    F = problem.form.given + 1e6 * ufl.inner(V.increment, V.test) * problem.points.dX
+    free = mpm.QuasiStatic(F, V.increment, problem.points, stabilisation="ghost")
+    free.step()
+    conditions = free.essential_conditions
+    assert conditions.has_forces
+    conditions.set_forces(conditions.forces())
+    assert conditions.has_forces
+    conditions.set_forces({})
+    assert not conditions.has_forces
+
+
 def test_what_has_no_reaction_is_told():
     problem, bottom, _ = column()
     with pytest.raises(mpm.errors.ParameterError, match="take a step first"):
