@@ -197,7 +197,7 @@ def run_round(args: Round, axisymmetric: bool) -> None:
     edge = rim(points, a)
     F = mixture(args, points, V, Q, edge)
     load = fem.Constant(grid, -p0)
-    F -= load * ufl.dot(edge.area, edge.at(v)) / points.V0 * points.dX
+    F -= load * ufl.dot(edge.area, v) / points.V0 * edge.dX
     bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "bottom", 1)
     problem = mpm.Transient(
         F, [u, Q.increment], points, bcs, stabilisation=[args.stabilisation] * 2

@@ -12,6 +12,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FieldShapeError, FormError
 from dolfinmpm.assembly.evaluation import Evaluation
+from dolfinmpm.assembly.term import Term
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
@@ -34,9 +35,10 @@ class PointUpdates:
         points: Material points.
         tags: Tags of the points to set, or None for all points.
         carried: Whether the form carries the fields, see `dolfinmpm.carried`.
+        term: Term with the increments in the expressions, or None for those at the points.
 
     Attributes:
-        carried: The argument.
+        carried, term: The arguments.
 
     Raises:
         FieldShapeError: The shapes of an expression and of its field differ.
@@ -52,8 +54,9 @@ class PointUpdates:
         points: MaterialPoints,
         tags: Tags = None,
         carried: bool = False,
+        term: Term | None = None,
     ):
-        self.carried = carried
+        self.carried, self.term = carried, term
         self._placeholders = Placeholders(spaces, points)
         self._programs: dict[str, Program] = {}
         self._points, self._tags = points, tags

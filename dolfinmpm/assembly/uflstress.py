@@ -57,7 +57,7 @@ class UFLStress:
         carried: See `PointUpdates`.
     """
 
-    strain, carried = "large", False
+    strain, carried, term = "large", False, None
 
     def __init__(
         self,

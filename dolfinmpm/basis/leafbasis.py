@@ -251,9 +251,24 @@ class LeafBasis:
             at: The positions (m), shape (n, gdim).
             x, half: Positions and half-lengths of the domains (m), shape (n, gdim).
         """
+        return self.cells_at(self._inwards(at, x, half))
+
+    def _inwards(self, at: Array, x: Array, half: Array) -> Array:
+        """Positions in domains, moved off the ends of the domains by more than rounding (m)."""
         rounding = 4 * SNAP * self.cell_sizes()[self.cells_at(x)][:, None]
         inside = np.maximum(half - rounding, 0.5 * half)
-        return self.cells_at(np.clip(at, x - inside, x + inside))
+        return np.clip(at, x - inside, x + inside)
+
+    def in_domains(self, at: Array, within: Array, x: Array, half: Array) -> Stencils:
+        """Stencils of parts of domains, from functions of the leaves that the domains overlap.
+
+        Args:
+            at, within: Positions and half-lengths of the parts (m), shape (n, gdim).
+            x, half: Positions and half-lengths of the domains (m), shape (n, gdim).
+        """
+        begin, leaf = self.leaves.overlapped(self._inwards(at, x, half), within)
+        cells = np.where(leaf >= 0, self._cell_of[leaf], -1).astype(np.int32)
+        return self._stencils(at, within, begin, cells, False)
 
     def stencils(self, where: Placement) -> Stencils:
         """Stencils of the points, on all nodes. Collective.

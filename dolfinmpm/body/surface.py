@@ -3,8 +3,9 @@
 Material points are inside the body, and the faces of the body are not. A load at the points instead
 of the face would have the right force and a wrong moment. A point at a face therefore keeps the
 initial offset R of the face from its centre, and the initial area vector A0 of the face (area times
-outward normal). The point's stencil then gives the motion of the face to first order,
-u(x_s) = u + ∇ũ·r with r = F_n R. Splines are curved: give their loads on a `Boundary` instead.
+outward normal). The measure `Surface.dX` takes increments and test functions at the faces, see
+`dolfinmpm.basis.facestencils`. Elsewhere the point's stencil gives the motion of the face to first
+order, u(x_s) = u + ∇ũ·r with r = F_n R.
 
 Loads are added to the internal forces, as is the contact of a `RigidFooting`:
 F = momentum(...) + surface.traction(t, v) + footing.contact(u, v); see `dolfinmpm.body.formsigns`.
@@ -14,7 +15,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -36,6 +36,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surfacechecks import axis_of, check_exposed, error_on_axis, numbers_of
 from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
@@ -109,7 +110,7 @@ class Surface:
                 f"where = {shown(where)} must be a function of the positions of faces, such as "
                 "lambda x: np.isclose(x[-1], 1.0)"
             )
-        n = _axis(normal, points.gdim)
+        n = axis_of(normal, points.gdim)
         if lattice_of(points.grid) is None:
             raise UnsupportedGridError(
                 "points have domains with faces along the axes on rectangular grids only; give "
@@ -128,11 +129,11 @@ class Surface:
                 f"these faces lie between {low:.6g} and {high:.6g} m on that axis: compare with "
                 "np.isclose"
             )
-        _check_exposed(points, chosen, n)
+        check_exposed(points, chosen, n)
         across = np.delete(points["l0"], axis, axis=1)
         area = np.prod(2 * across, axis=1)[:, None] * n
         if points.axisymmetric:
-            raise_together(points.comm, _on_axis(points, faces, chosen))
+            raise_together(points.comm, error_on_axis(points, faces, chosen))
             area = ring(faces[:, :1], area)
         self._set(points, np.where(chosen[:, None], offset, 0.0),
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
@@ -164,7 +165,7 @@ class Surface:
             EmptyShapeError: All areas are zero.
         """
         check_points(points)
-        R, A = call_together(points.comm, lambda: (_array("offset", offset), _array("area", area)))
+        R, A = call_together(points.comm, lambda: (numbers_of("offset", offset), numbers_of("area", area)))
         error: Exception | None = None
         for what, values in (("offset", R), ("area", A)):
             if values.shape != (len(points), points.gdim):
@@ -179,7 +180,7 @@ class Surface:
                 )
         raise_together(points.comm, error)
         if points.axisymmetric:
-            raise_together(points.comm, _on_axis(points, points["x0"] + R, np.any(A, axis=1)))
+            raise_together(points.comm, error_on_axis(points, points["x0"] + R, np.any(A, axis=1)))
         if not points.comm.allreduce(bool(np.any(A)), op=MPI.LOR):
             raise EmptyShapeError("all areas of the surface are zero; give some point an area")
         surface = cls.__new__(cls)
@@ -204,6 +205,7 @@ class Surface:
         self.total_area = points.comm.allreduce(float(self._sizes().sum()), op=MPI.SUM)
         # a number would be compiled into the forms
         self._total = own_constant(points.grid, self.total_area)
+        self._apart = own_constant(points.grid, 1.0)
 
     def _sizes(self) -> Array:
         return np.linalg.norm(self.points[self.area.name], axis=1)
@@ -211,10 +213,24 @@ class Surface:
     # -- UFL ------------------------------------------------------------------
 
     @property
+    def dX(self) -> ufl.Measure:
+        """Measure `points.dX` of the surface's points, with increments at their faces.
+
+        Values of increments and test functions are those at the faces. Gradients and fields are
+        those at the points. `density` times the measure is the initial area.
+        """
+        measure = self.points.dX
+        return measure.reconstruct(metadata={**measure.metadata(), "surface": self})
+
+    def without_way(self, integrand: Expr) -> Expr:
+        """An integrand of `dX`, in which `at` and `position` need no way from the points' centres."""
+        return ufl.replace(integrand, {self._apart: ufl.as_ufl(0.0)})
+
+    @property
     def density(self) -> Expr:
         """Area of the face per initial volume of its point (1/m), a field for UFL.
 
-        Its integral over `points.dX` is the initial area of the surface.
+        Its integral over `dX` or `points.dX` is the initial area of the surface.
         """
         return ufl.sqrt(ufl.dot(self.area, self.area)) / self.points.V0
 
@@ -224,7 +240,7 @@ class Surface:
         return ufl.dot(in_section(self.points, self.points.F), self.offset)
 
     def at(self, w) -> Expr:
-        """An increment or a test function at the face: w + ∇w·F_n R.
+        """An increment or a test function at the face: w on `dX`, and w + ∇w·F_n R on `points.dX`.
 
         Raises:
             ParameterError: w is no UFL expression.
@@ -233,7 +249,7 @@ class Surface:
             raise ParameterError(
                 f"w = {shown(w)} must be a field of UFL, such as Space.increment or Space.test"
             )
-        return w + ufl.dot(ufl.grad(w), self._reach)
+        return w + self._apart * ufl.dot(ufl.grad(w), self._reach)
 
     def position(self, u=None) -> Expr:
         """Position of the face (m) at the start of the step, or after the increment u."""
@@ -264,7 +280,7 @@ class Surface:
             once: Whether a weak form may contain the form only once.
         """
         check_displacement(self.points, v=v)
-        return signed_form(-self.density * ufl.dot(t, self.at(v)), self.points.dX, name, once)
+        return signed_form(-self.density * ufl.dot(t, v), self.dX, name, once)
 
     def force(self, P, v) -> ufl.Form:
         """Form of a dead force, spread evenly over the surface; add it to the weak form.
@@ -299,8 +315,8 @@ class Surface:
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
         if points.axisymmetric:
             face *= self.position(u)[0] / (points.x0 + self.offset)[0]
-        work = p * ufl.dot(face, self.at(v)) / points.V0
-        return signed_form(work, points.dX, f"the pressure on '{self.name}'")
+        work = p * ufl.dot(face, v) / points.V0
+        return signed_form(work, self.dX, f"the pressure on '{self.name}'")
 
     def mean(self, direction, w) -> ufl.Form:
         """Mean over the initial area of w(x_s) · direction, a form linear in w.
@@ -338,63 +354,3 @@ class Surface:
         if not area:
             raise ParameterError(f"no point of the surface '{self.name}' is left: make a new one")
         return np.array(total) / area
-
-
-def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
-    """Error if faces of an axisymmetric body with these centres lie on the axis, or None."""
-    bad = np.flatnonzero(chosen & ~(faces[:, 0] > 1e-9 * points["x0"][:, 0]))
-    if not bad.size:
-        return None
-    p = bad[0]
-    return ParameterError(
-        f"the face of point {points['id'][p]} has the radius {faces[p, 0]:.3g} m, and it must be "
-        f"positive: the axis is no boundary of the body ({bad.size} such faces here); leave them "
-        "out"
-    )
-
-
-def _axis(normal: Any, gdim: int) -> Array:
-    """The normal as an array, if it is an axis with a sign."""
-    n = coordinates("normal", normal)
-    if n.shape != (gdim,) or not np.array_equal(np.sort(np.abs(n)), [0.0] * (gdim - 1) + [1.0]):
-        raise ParameterError(
-            f"normal = {shown(normal)} must be an axis of {gdim}D with a sign, such as "
-            f"{(0,) * (gdim - 1) + (1,)}; give other faces by Surface.from_arrays"
-        )
-    return n
-
-
-def _array(what: str, values: Any) -> Array:
-    try:
-        return np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
-
-
-def _check_exposed(points: MaterialPoints, chosen, n: Array) -> None:
-    """No chosen face may have another point in front of it: it would be inside the body."""
-    x, half = points["x0"], points["l0"]
-    # within the thinnest domain, which may be the sliver that a shape leaves in a cell
-    along = np.abs(half @ n)
-    thinnest = points.comm.allreduce(float(along.min(initial=np.inf)), op=MPI.MIN)
-    beyond = along + np.minimum(0.02 * along, 0.5 * thinnest)
-    mine = x[chosen] + beyond[chosen, None] * n
-    probes = np.concatenate(points.comm.allgather(mine))
-    hidden = np.zeros(len(probes), bool)
-    if len(points) and len(probes):
-        from scipy.spatial import cKDTree
-
-        near = cKDTree(x).query_ball_point(probes, half.max(), p=np.inf)
-        owner = np.repeat(np.arange(len(probes)), [len(found) for found in near])
-        others = np.concatenate([np.asarray(found, np.int64) for found in near])
-        # domains of points that are not on one lattice overlap a little at their sides
-        share = np.where(n != 0, 1.0, 0.99)
-        covered = np.all(np.abs(probes[owner] - x[others]) < share * half[others], axis=1)
-        hidden[owner[covered]] = True
-    total = np.flatnonzero(points.comm.allreduce(hidden.astype(np.int32), op=MPI.SUM))
-    if total.size:
-        raise ParameterError(
-            f"{total.size} of {len(probes)} chosen faces are inside the body, with another point "
-            f"right in front of them, such as the one at {probes[total[0]]} m; let `where` choose "
-            "the body's own faces"
-        )

@@ -102,6 +102,8 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         return "the parameters of a neo-Hookean law vary"
     if form.boundaries:
         return "terms over boundaries that do not fit the grid"
+    if form.parts.surfaces:
+        return "loads on surfaces, which move with the points"
     strange = next((term for term in form.parts.terms if not term.fusable), None)
     if strange is not None:
         return f"the loops do not support the term {strange!r}"

@@ -47,6 +47,7 @@ class CarriedField(PointField):
             the whole step's unknowns, whatever the level.
         bounds: Limits of the values, which must lie strictly between them, or None.
         gravity: Acceleration (m/s²) whose weight of this density is in the terms, or None.
+        surface: Surface at whose faces the unknowns in the expression are taken, or None.
     """
 
     update: Expr
@@ -54,6 +55,7 @@ class CarriedField(PointField):
     level: float | None = 1.0
     bounds: tuple[float, float] | None = None
     gravity: Expr | None = None
+    surface: Any = None
 
 
 class CellOffset(PointField):

@@ -13,6 +13,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints, PointField
+from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
@@ -24,7 +25,7 @@ from dolfinmpm.forms.subdomainchecks import check_subdomains
 from dolfinmpm.forms.tagchecks import TagChecks, tags_by_term
 from dolfinmpm.forms.termqueries import brief, operators_in, tags_of, term_of
 
-__all__ = ["BoundaryTerms", "SplitForm", "split"]
+__all__ = ["BoundaryTerms", "SplitForm", "SurfaceTerms", "split"]
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,19 @@ class BoundaryTerms:
 
 
 @dataclass(frozen=True)
+class SurfaceTerms:
+    """Terms over the faces of points.
+
+    Attributes:
+        surface: The surface.
+        terms: The terms, which the points of the surface integrate.
+    """
+
+    surface: Surface
+    terms: PointTerms
+
+
+@dataclass(frozen=True)
 class SplitForm:
     """A weak form, split.
 
@@ -66,6 +80,7 @@ class SplitForm:
         declarations: Declarations of the laws in the form.
         carried: Fields that terms carry from step to step, or that are set when a step begins.
         boundaries: Terms over boundaries that do not fit the grid.
+        surfaces: Terms over the faces of points.
         terms: Terms that are no quadrature of its points, see `dolfinmpm.assembly.term`.
         tagged: The part for points of some tags only.
     """
@@ -75,6 +90,7 @@ class SplitForm:
     declarations: list[Declaration]
     carried: list[PointField]
     boundaries: list[BoundaryTerms]
+    surfaces: list[SurfaceTerms]
     terms: list[Any]
     tagged: TagChecks
 
@@ -117,6 +133,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     as_given = [i for i in form.integrals() if (i.metadata() or {}).get("points") == points.number]
     form = expand_derivatives(differentiate_through_laws(form))
     at_points, at_markers, ordinary = by_measure(form, spaces, points, of_markers)
+    at_points, surfaces = _at_faces(at_points, spaces, points)
     check_subdomains(ordinary, points.grid)
     others = [(repr(term), term.tags) for term in terms if not term.sides]
     for number, boundary in of_markers.items():
@@ -141,9 +158,37 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             )
             for number, boundary in of_markers.items()
         ],
+        surfaces,
         terms,
         tagged,
     )
+
+
+def _at_faces(
+    integrals, spaces: Sequence[Space], points: MaterialPoints
+) -> tuple[list[Any], list[SurfaceTerms]]:
+    """Integrals over points, and terms over faces of points, one entry per surface.
+
+    Raises:
+        FormError: A surface belongs to other material points, or a term contains the stress of a
+            law.
+    """
+    rest: list[Any] = []
+    found: dict[int, tuple[Surface, list[Any]]] = {}
+    for integral in integrals:
+        surface = integral.metadata().get("surface")
+        if surface is None:
+            rest.append(integral)
+            continue
+        term = integral.integrand()
+        if operators_in(term):
+            raise FormError(
+                f"the term '{brief(term)}' has the stress of a law on the measure of the surface "
+                f"'{surface.name}', and laws act at the centres of points: integrate over points.dX"
+            )
+        own = integral.reconstruct(integrand=surface.without_way(term))
+        found.setdefault(id(surface), (surface, []))[1].append(own)
+    return rest, [SurfaceTerms(s, PointTerms(own, spaces, points)) for s, own in found.values()]
 
 
 def _touching(terms, spaces: Sequence[Space]) -> dict[int, tuple[Boundary, Any]]:

@@ -135,6 +135,7 @@ class RigidFooting(ReadOnce):
         motion = next(name for name in names if name not in points.fields)
         points.add_field(motion, (points.gdim,), "m")
         self._motion = FaceMotion(points, motion, (points.gdim,), "m")
+        self._motion.surface = surface
 
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""

@@ -115,10 +115,9 @@ def prescribed_pressure(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
         value: The pressure (Pa).
     """
     points = flow.points
-    gap = surface.at(flow.p) - value
-    form = surface.density * flow.stiffness * gap * surface.at(flow.q) * points.dX
+    form = surface.density * flow.stiffness * (flow.p - value) * flow.q * surface.dX
     through = ufl.dot(flow.rate, flow.area(surface)) / points.V0
-    return form - points.dt * through * surface.at(flow.q) * points.dX
+    return form - points.dt * through * flow.q * surface.dX
 
 
 def seepage_face(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
@@ -129,8 +128,8 @@ def seepage_face(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
         surface: The surface.
         value: The pressure (Pa).
     """
-    out = ufl.max_value(surface.at(flow.p) - value, 0.0)
-    return surface.density * flow.stiffness * out * surface.at(flow.q) * flow.points.dX
+    out = ufl.max_value(flow.p - value, 0.0)
+    return surface.density * flow.stiffness * out * flow.q * surface.dX
 
 
 def prescribed_inflow(flow: Flow, surface: Surface, rate: Expr) -> ufl.Form:
@@ -141,5 +140,4 @@ def prescribed_inflow(flow: Flow, surface: Surface, rate: Expr) -> ufl.Form:
         surface: The surface.
         rate: Volume of water that enters per initial area and time (m/s).
     """
-    points = flow.points
-    return -points.dt * rate * surface.density * surface.at(flow.q) * points.dX
+    return -flow.points.dt * rate * surface.density * flow.q * surface.dX

@@ -71,7 +71,7 @@ def new_state(
         marks[declaration.rows] = declaration.mark
     for update in problem.form.updates:
         if not (carried and update.carried):
-            update.run(evaluation, new)
+            update.run(evaluation if update.term is None else operator.active(update.term), new)
     new.update(carried or {})
     reason = _out_of_bounds(points, operator.form.parts.carried, new)
     if reason is not None:

@@ -52,7 +52,6 @@ from dolfinmpm.solve.arguments import (
     stabilisations_of,
 )
 from dolfinmpm.solve.description import summary
-from dolfinmpm.solve.loadedslivers import warn_of_slivers
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import (
@@ -337,8 +336,6 @@ class Problem(ReadOnce):
         )  # fmt: skip
         if self.form.boundaries:
             self._set_penalties(self.here)
-        if not self.scheme.inertia and any(d.fbar for d in self.form.parts.declarations):
-            warn_of_slivers(self.form.given, self.points, self.fields)
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
             # a body that moves in time may reach a side later

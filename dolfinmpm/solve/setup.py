@@ -132,6 +132,7 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
         if declaration.updates
     ]
     kept = [f for f in form.parts.carried if isinstance(f, CarriedField) and f.name not in given]
+    faces, kept = [f for f in kept if f.surface], [f for f in kept if not f.surface]
     leveled = {f.name: f.update for f in kept if f.level is not None}
     whole = {f.name: f.update for f in kept if f.level is None}
     for updates, carried in ((leveled, True), ({**whole, **given}, False)):
@@ -141,6 +142,10 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
             made.append(
                 PointUpdates(updates, form.regions, form.spaces, form.points, carried=carried)
             )
+    for one in faces:
+        term = next(t for t in form.surfaces if t.surface is one.surface)
+        update = {one.name: one.surface.without_way(one.update)}
+        made.append(PointUpdates(update, form.regions, form.spaces, form.points, term=term))
     return [*made, *_own_stresses(form, given)]
 
 

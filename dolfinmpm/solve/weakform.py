@@ -32,6 +32,7 @@ from dolfinmpm.forms.splitting import SplitForm, split
 from dolfinmpm.grid.lattice import times_regridded
 from dolfinmpm.terms.boundaryterm import BoundaryTerm
 from dolfinmpm.terms.gridterm import GridTerm
+from dolfinmpm.terms.surfaceterm import SurfaceTerm
 
 __all__ = ["WeakForm"]
 
@@ -91,7 +92,8 @@ class WeakForm:
                 grids.append(GridTerm(own, kind))
         self.softened = soft is not None
         self.boundaries = [BoundaryTerm(of, spaces) for of in self.parts.boundaries]
-        self.terms: list[Term] = [*self.boundaries, *self.parts.terms, *grids]
+        faces = [SurfaceTerm(of) for of in self.parts.surfaces]
+        self.terms: list[Term] = [*self.boundaries, *faces, *self.parts.terms, *grids]
         self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
         self.contact_weights: MeanForceWeights | None = None
@@ -102,9 +104,15 @@ class WeakForm:
         found = [m for g in grids for m in g.moduli]
         self.moduli = [m for m in found if not isinstance(m, FacetRing)]
         self._first_moduli()
-        for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
+        own = [*self.regions, *(r for b in self.boundaries for r in b.regions)]
+        for region in (*own, *(face.terms for face in faces)):
             # errors of compilation must show now; tangents wait until a solver needs them
             region.external, region.internal, region.operands  # noqa: B018
+
+    @property
+    def surfaces(self) -> list[SurfaceTerm]:
+        """Terms over the faces of points."""
+        return [term for term in self.terms if isinstance(term, SurfaceTerm)]
 
     @cached_property
     def has_rates(self) -> bool:

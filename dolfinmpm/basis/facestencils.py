@@ -1,0 +1,168 @@
+"""Stencils at the faces of points: values of the functions there, gradients of the points.
+
+A load on a face does work on the functions at the face. With GIMP, the internal forces of a point
+are the work of its stress on the functions at the two ends of its domain, in each direction. A load
+at the end of the domain is in balance with this stress if it takes the functions there, too: linear
+functions across the face, averages along it. The value and the gradient at the point give the same
+only while the domain lies in one cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.basis.latticebasis import LatticeBasis
+from dolfinmpm.basis.leafbasis import LeafBasis
+from dolfinmpm.basis.linear import LinearBasis
+from dolfinmpm.basis.stencils import Placement, Stencils, running_sum
+
+__all__ = ["at_faces"]
+
+Array = npt.NDArray[np.float64]
+# Part of a half-length that is rounding
+_ROUNDING = 1e-12
+
+
+def at_faces(
+    basis: LatticeBasis | LeafBasis | LinearBasis, s: Stencils, where: Placement, reach: Array
+) -> Stencils:
+    """Stencils of some points with the values of the functions at their faces.
+
+    Without averages, a face beyond the cell of its point takes the functions at the edge of the
+    cell, and the rest of the way by their gradients at the point. Values of linear functions on
+    grids that are not rectangular follow from value and gradient at the point.
+
+    Args:
+        basis: The basis.
+        s: Stencils of points with faces, on all active nodes.
+        where: All points.
+        reach: Offsets from the centres of all points to their faces (m), shape (points, gdim).
+    """
+    counts = np.diff(s.groups)
+    number = np.repeat(np.diff(s.node_start), counts)
+    # points of other fields have no nodes
+    at = np.flatnonzero(number)
+    rows = s.order[at]
+    if isinstance(basis, LinearBasis):
+        return replace(s, N=s.N + _slopes(s, number, reach[s.order]))
+    x, half = where.x[rows], where.half[rows] if basis.averaged else np.zeros((rows.size, 0))
+    if basis.averaged:
+        to, half = _ends(x, half, reach[rows])
+    else:
+        low, high = (side[_cells(s, at)] for side in basis.cell_corners())
+        to, half = np.clip(x + reach[rows], low, high), np.zeros_like(x)
+    rest = np.zeros((s.order.size, x.shape[1]))
+    rest[at] = x + reach[rows] - to
+    make = _on_leaves if isinstance(basis, LeafBasis) else _on_lattice
+    faces = make(basis, s, at, Placement(x, where.half[rows], x[:, 0], rows), to, half)
+    return replace(s, N=_on_nodes_of(s, number, at, faces) + _slopes(s, number, rest))
+
+
+def _slopes(s: Stencils, number: npt.NDArray[np.int32], way: Array) -> Array:
+    """Products of the gradients with a vector per position, for each entry of the stencils."""
+    return np.einsum("vd,vd->v", s.dN, np.repeat(way, number, axis=0))
+
+
+def _cells(s: Stencils, at: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+    """Cells of points without domains, by their positions in `s.order`."""
+    group = np.repeat(np.arange(s.groups.size - 1), np.diff(s.groups))[at]
+    return s.cells[s.cell_start[group]]
+
+
+def _ends(x: Array, half: Array, reach: Array) -> tuple[Array, Array]:
+    """The ends of the points' domains towards their faces, and their half-lengths (m).
+
+    A face is at the end of the domain along the axis on which it reaches furthest. A face within
+    the domain is averaged over what is left up to the end.
+
+    Args:
+        x, half: Positions and half-lengths of the domains (m), shape (n, gdim).
+        reach: Offsets to the faces (m), shape (n, gdim).
+    """
+    each = np.arange(len(x))
+    axis = np.argmax(np.abs(reach) / half, axis=1) if x.size else np.empty(0, np.intp)
+    limit = half[each, axis]
+    step = np.clip(reach[each, axis], -limit, limit)
+    left = limit - np.abs(step)
+    to, at = x.copy(), half.copy()
+    to[each, axis] += step
+    at[each, axis] = np.where(left > _ROUNDING * limit, left, 0.0)
+    return to, at
+
+
+def _on_lattice(
+    basis: LatticeBasis, s: Stencils, at: npt.NDArray[np.integer], points: Placement, to: Array,
+    half: Array,
+) -> Stencils:  # fmt: skip
+    """Stencils of positions from functions of the cells that the points overlap.
+
+    Args:
+        basis: The basis.
+        s: Stencils of the points.
+        at: Their positions in `s.order`, shape (n,).
+        points: The points.
+        to, half: The positions and half-lengths (m), shape (n, gdim).
+    """
+    if basis.averaged:
+        first, number = basis.spans(points.x, points.half)
+        low, count = basis.spans(to, half)
+        # a face on a grid line belongs to the cell of its point
+        low = np.clip(low, first, first + number - 1)
+        count = np.minimum(count, first + number - low)
+    else:
+        low = basis.halo.cell_ijk[_cells(s, at)] - basis.halo.origin
+        count = np.ones_like(low)
+    found = basis.stencils_in(to, half, low.astype(np.int32), count.astype(np.int32))
+    assert found is not None, "the cells of faces are cells of their points"
+    return found
+
+
+def _on_leaves(
+    basis: LeafBasis, s: Stencils, at: npt.NDArray[np.integer], points: Placement, to: Array,
+    half: Array,
+) -> Stencils:  # fmt: skip
+    """The same on leaves; see `_on_lattice`."""
+    if basis.averaged:
+        return basis.in_domains(to, half, points.x, points.half)
+    return basis.in_cells(to, _cells(s, at))
+
+
+def _on_nodes_of(
+    s: Stencils, number: npt.NDArray[np.int32], at: npt.NDArray[np.integer], faces: Stencils
+) -> Array:
+    """Values of one set of stencils at the nodes of another set.
+
+    Args:
+        s: Stencils whose nodes contain those of the faces.
+        number: Number of nodes of each position of `s`.
+        at: Position in `s.order` of each face, shape (n,).
+        faces: Stencils of the faces.
+    """
+    size = max(int(s.nodes.max(initial=0)), int(faces.nodes.max(initial=0))) + 1
+    own = _keys(s, np.arange(s.order.size), size)
+    theirs = _keys(faces, at[faces.order], size)
+    place = np.minimum(np.searchsorted(own, theirs), max(own.size - 1, 0))
+    same = own[place] == theirs
+    values = np.zeros(own.size)
+    values[place[same]] = faces.N[same]
+    return values
+
+
+def _keys(s: Stencils, position: npt.NDArray[np.integer], size: int) -> npt.NDArray[np.int64]:
+    """A number for each entry of stencils, made of a position per point and of the node.
+
+    Args:
+        s: The stencils.
+        position: The position for each point in `s.order`.
+        size: Limit of the nodes' numbers.
+    """
+    each = np.diff(s.node_start)
+    group = np.repeat(np.arange(each.size), np.diff(s.groups))
+    number = each[group]
+    start = running_sum(number, np.int64)
+    within = np.arange(start[-1]) - np.repeat(start[:-1], number)
+    node = s.nodes[np.repeat(s.node_start[:-1][group], number) + within]
+    return np.repeat(np.asarray(position, np.int64), number) * size + node

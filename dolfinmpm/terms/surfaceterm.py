@@ -1,0 +1,79 @@
+"""Loads on the faces of points, with increments and test functions at the faces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dolfinmpm.assembly.evaluation import Evaluation
+from dolfinmpm.assembly.term import Term
+from dolfinmpm.basis.facestencils import at_faces
+from dolfinmpm.basis.stencils import all_pushed_forward, joined, selected
+from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveRegion
+from dolfinmpm.cut.prolongation import Prolongation
+from dolfinmpm.forms.declarations import LawConstant
+from dolfinmpm.forms.splitting import SurfaceTerms
+
+__all__ = ["SurfaceTerm"]
+
+
+class SurfaceTerm(Term):
+    """Terms over the faces of points. The points' own terms couple all nodes of the faces.
+
+    Args:
+        of: The terms of the form.
+    """
+
+    def __init__(self, of: SurfaceTerms):
+        self.surface, self.terms = of.surface, of.terms
+        self.points = of.surface.points
+        # the last activation and its stencils: a step makes several operators on one activation
+        self._known: tuple[ActiveDomain | None, ActiveRegion | None] = None, None
+
+    @property
+    def loads(self) -> list[Any]:
+        """See `Term`."""
+        placeholders = self.terms.placeholders
+        own = [c for c in placeholders.constants if not isinstance(c, LawConstant)]
+        return own + [function for function, _ in placeholders.functions]
+
+    def summary(self) -> str:
+        """See `Term`."""
+        return f"loads on '{self.surface.name}'"
+
+    def on(self, here: Activation) -> Evaluation:
+        """See `Term`."""
+        known, region = self._known
+        if region is None or known is not here:
+            region = self._region(here)
+            self._known = here, region
+        return Evaluation([self.terms], self.points, here.unknowns, [region])
+
+    def _region(self, here: ActiveDomain) -> ActiveRegion:
+        """Stencils of the faces on an activation."""
+        points = self.points
+        chosen = np.any(points[self.surface.area.name] != 0.0, axis=1)
+        F = in_section(points, points["F"])
+        reach = points[self.surface.offset.name]
+        if not here.total:
+            reach = np.einsum("pij,pj->pi", F, reach)
+        made = {}
+        for f in here.fields:
+            if id(f.full_stencils) not in made:
+                own = at_faces(f.basis, selected(f.full_stencils, chosen), here.where, reach)
+                made[id(f.full_stencils)] = own
+        stencils = []
+        once: dict[tuple[int, int], Any] = {}
+        for f in here.fields:
+            key = id(f.full_stencils), id(f.C)
+            if key not in once:
+                own = made[key[0]]
+                once[key] = own if f.C is None else Prolongation(f.C).stencils(own)
+            stencils.append(once[key])
+        stencils = joined(stencils)
+        if here.total:
+            stencils = all_pushed_forward(stencils, F)
+        within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
+        return ActiveRegion(stencils, None, within)
