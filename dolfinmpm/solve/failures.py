@@ -104,7 +104,9 @@ def _worst_point(problem: QuasiStatic, operator: Operator, reason: str) -> str:
             J = np.linalg.det(deformation(points, *motion))
         failure = operator.points.failure
         if failure is None and "NAN" in reason:
-            failure = operator.points.not_finite()
+            faces = (operator.active(term) for term in operator.form.surfaces)
+            found_in = (one.not_finite() for one in (operator.points, *faces))
+            failure = next((one for one in found_in if one is not None), None)
         p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
         place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
         place += f": {failure.cause}" if failure is not None and failure.cause else ""

@@ -9,7 +9,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import ConvergenceError, FormError
 from dolfinmpm.basis.facestencils import at_faces
 from dolfinmpm.basis.stencils import selected
 from dolfinmpm.materials import Hencky, NeoHookean
@@ -140,6 +140,16 @@ def test_faces_see_the_linear_functions_at_the_ends_of_their_domains():
         for height in np.unique(y[nodes]):
             there = max(0.0, 1 - abs(1.04 - height) * 8)
             assert N[y[nodes] == height].sum() == pytest.approx(there, abs=1e-12)
+
+
+def test_a_load_that_is_not_finite_names_its_point():
+    points, V, top, F, bcs = column()
+    load = points.add_field("load", (), "Pa")
+    points["load"][-1] = np.nan
+    F += top.pressure(load, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, max_halvings=0)
+    with pytest.raises(ConvergenceError, match=r"point \d+ at .* a term of the form is not finite"):
+        problem.step()
 
 
 def test_the_stress_of_a_law_at_faces_is_refused():
