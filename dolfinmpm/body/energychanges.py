@@ -26,12 +26,13 @@ class EnergyChanges:
 
     Args:
         points: Material points.
-        energies: Function that returns kinetic and elastic energy of this rank (J), shape (2,).
+        energies: Function that returns kinetic energy, elastic energy and the energy of contact of
+            this rank (J), shape (3,).
     """
 
     def __init__(self, points: MaterialPoints, energies: Callable[[], Array]):
         self._comm, self._energies = points.comm, energies
-        self._sums: Array = np.zeros((2, 2))
+        self._sums: Array = np.zeros((2, 4))
         points.__dict__.setdefault("_energy_changes", []).append(weakref.ref(self))
 
     def found(self) -> bool:
@@ -39,11 +40,12 @@ class EnergyChanges:
         return self._comm.allreduce(bool(self._sums.any()), op=MPI.LOR)
 
     def taken(self) -> Array:
-        """Changes since the last call, on all ranks (J), shape (2, 2). Collective.
+        """Changes since the last call, on all ranks (J), shape (2, 4). Collective.
 
         The first row is of points that came and went, the second of points that split and merged.
+        The last column has the number of changes.
         """
-        sums, self._sums = self._sums, np.zeros((2, 2))
+        sums, self._sums = self._sums, np.zeros((2, 4))
         return self._comm.allreduce(sums, op=MPI.SUM)
 
     def since(self, before: Array | None, merging: bool) -> Array:
@@ -51,7 +53,7 @@ class EnergyChanges:
         now = self._energies()
         if before is not None:
             # the elastic energy is no number where a law has none
-            self._sums[int(merging)] += np.nan_to_num(now - before)
+            self._sums[int(merging)] += [*np.nan_to_num(now - before), 1.0]
         return now
 
 

@@ -243,16 +243,14 @@ class Ledger:
         self._last = kinetic
 
     def _account(self, kinetic: float) -> None:
-        """Account for what has changed between steps. Collective.
-
-        Args:
-            kinetic: Present kinetic energy of the points (J).
-        """
+        """Account for what has changed between steps, to a kinetic energy (J). Collective."""
         first, (given, merged) = self._first, self._changes.taken()
-        self.work.losses["merging"] -= float(merged.sum())
+        self.work.losses["merging"] -= float(merged[:2].sum())
         first["kinetic"] += float(merged[0])
         first["strain"] += float(merged[1] + given[1])
-        first["initial"] += float(given[1])
+        first["initial"] += float(given[1] + given[2])
+        self._bodies.stored += float(given[2])
+        self._bodies.changed |= bool(given[3] + merged[3] > 0.0)
         self._last += float(merged[0])
         if self._set_by_user(kinetic):
             # changed velocities count as velocities at the present time
@@ -308,12 +306,12 @@ class Ledger:
         return float(self._points.comm.allreduce(self._own()[1], op=MPI.SUM))
 
     def _own(self) -> Array:
-        """Kinetic and elastic energy of the points of this rank (J), shape (2,)."""
+        """Kinetic, elastic and contact energy of the points of this rank (J), shape (3,)."""
         strain, V0 = 0.0, self._points.fields.read("V0")
         for declaration in self._form.storing:
             stored = declaration.energy()
             strain += math.nan if stored is None else float(stored @ V0[declaration.rows])
-        return np.array([kinetic_energy(self._points), strain])
+        return np.array([kinetic_energy(self._points), strain, self._bodies.stored_here()])
 
     def energies(self) -> Energies:
         """The present energies. Collective."""
@@ -358,6 +356,7 @@ class Ledger:
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`."""
         self.work.take(state["work"])
+        self._changes.taken()
         *first, self._last = (float(v) for v in state["first energies"])
         self._first = dict(zip(_FIRST, first))
 
