@@ -201,7 +201,7 @@ class Boundary:
         Raises:
             UnsupportedGridError: The grid is not in two dimensions.
             FieldShapeError: The corners have another shape.
-            ParameterError: There are too few corners, or a corner is given twice in a row.
+            ParameterError: There are too few corners, one comes twice in a row, or segments cross.
         """
         check_points(points)
         if points.gdim != 2:
@@ -273,7 +273,7 @@ class Boundary:
         Raises:
             UnsupportedGridError: The grid is not in three dimensions.
             FieldShapeError: An array has another shape.
-            ParameterError: A triangle has a corner that does not exist.
+            ParameterError: A corner does not exist, or normals of neighbours disagree.
         """
         check_points(points)
         if points.gdim != 3:

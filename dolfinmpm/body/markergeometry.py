@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn, no_longer
 from dolfinmpm.body.location import bounds
+from dolfinmpm.body.markerturns import check_crossings, check_turns
 from dolfinmpm.grid.lattice import Lattice, largest_cell, lattice_of, smallest_height
 from dolfinmpm.grid.userfunctions import call_function
 
@@ -243,7 +244,8 @@ def segments_of(vertices: Any, closed: bool) -> Array:
 
     Raises:
         FieldShapeError: The corners have another shape.
-        ParameterError: There are too few corners, or a corner is given twice in a row.
+        ParameterError: There are too few corners, a corner is given twice in a row, or segments
+            cross.
     """
     corners = corners_of("vertices", vertices, 2)
     if len(corners) < 2 + closed:
@@ -253,6 +255,7 @@ def segments_of(vertices: Any, closed: bool) -> Array:
     short = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == 0
     if short.any():
         raise ParameterError(f"the vertex {ends[short][0, 0]} m is given twice in a row")
+    check_crossings(ends)
     return ends
 
 
@@ -288,7 +291,8 @@ def triangles_of(vertices: Any, triangles: Any) -> Array:
 
     Raises:
         FieldShapeError: An array has another shape.
-        ParameterError: A triangle has a corner that does not exist.
+        ParameterError: A triangle has a corner that does not exist, or normals of neighbours
+            disagree.
     """
     corners = corners_of("vertices", vertices, 3)
     rows = np.asarray(triangles)
@@ -302,4 +306,5 @@ def triangles_of(vertices: Any, triangles: Any) -> Array:
             f"triangles name vertices {rows.min()} ... {rows.max()}; there are 0 ... "
             f"{len(corners) - 1}"
         )
+    check_turns(corners[rows])
     return corners[rows]

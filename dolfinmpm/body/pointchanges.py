@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
+from dolfinmpm.body.energychanges import counted
 from dolfinmpm.body.loadbalance import redistributed
 from dolfinmpm.body.overlapchecks import check_room_of_both
 from dolfinmpm.body.tags import check_in_use
@@ -96,8 +97,9 @@ def add(points: MaterialPoints, other: MaterialPoints) -> PointChange:
     for name, field in other.symbols.fields.items():
         if name not in points.symbols.fields:
             points.add_field(name, field.ufl_shape, field.unit, field.first)
-    points.fields.update(rows)
-    _changed(points)
+    with counted(points):
+        points.fields.update(rows)
+        _changed(points)
     return change
 
 
@@ -113,8 +115,9 @@ def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
         )
     if change.count:
         before = _faces(points)
-        points.fields.update({name: a[~going] for name, a in points.fields.items()})
-        _changed(points)
+        with counted(points):
+            points.fields.update({name: a[~going] for name, a in points.fields.items()})
+            _changed(points)
         _warn_of_lost_faces(points, before)
     return change
 

@@ -20,6 +20,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.body.bodysums import BodySums, sums_of
 from dolfinmpm.body.childvalues import Children, child_values, children
+from dolfinmpm.body.energychanges import counted
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.familyids import ancestors_of, deepest, levels_of, parents_of, places_of
 from dolfinmpm.body.formarguments import check_points
@@ -356,6 +357,7 @@ def _outside(points: MaterialPoints, born: Children, lost: Chosen) -> PointsOuts
 
 def _replace(points: MaterialPoints, rows: Fields) -> None:
     """Put other rows in place of all, and bring them to the ranks of their cells. Collective."""
-    points.fields.update(rows)
-    points.recount()
-    points.locate()
+    with counted(points, merging=True):
+        points.fields.update(rows)
+        points.recount()
+        points.locate()

@@ -128,6 +128,8 @@ _CELLS = {
     "tetra": (basix.CellType.tetrahedron, [0, 1, 2, 3]),
     "hexahedron": (basix.CellType.hexahedron, [0, 1, 3, 2, 4, 5, 7, 6]),
 }
+# Volumes of cells below this share of the cube of their size are rounding
+_FLAT = 1e-12
 _DIMENSION = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
 
 
@@ -214,7 +216,9 @@ def _quadrature(corners: Array, cell, points: str, degree: int) -> tuple[Array, 
         J = np.einsum("jqa,cai->cqij", table[1:], corners)
         det = np.linalg.det(J)
         turned = np.sign(det) != np.sign(det[:, :1])
-        bad = np.flatnonzero(np.any(turned | (det == 0), axis=1))
+        size = np.ptp(corners, axis=1).max(axis=1)[:, None]
+        flat = np.abs(det) <= _FLAT * size ** corners.shape[2]
+        bad = np.flatnonzero(np.any(turned | flat, axis=1))
         if bad.size:
             raise ParameterError(
                 f"the cell of the mesh with the corners {corners[bad[0]].tolist()} m has no volume "

@@ -333,6 +333,14 @@ class ActiveRigidContact(ActiveContact):
         own = float(normal_energy(q, start.stiffness).sum())
         return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
+    def stored_at_start(self) -> float:
+        """Energy of the penalties at the start of the step, also of slip (J). Collective."""
+        start, law = self.start, self.contact.law
+        slip = 0.0
+        if law.friction:
+            slip = float(slip_energy(start.tangential, start.stiffness, law.slip_share).sum())
+        return self.overlapping() + self.contact.points.comm.allreduce(slip, op=MPI.SUM)
+
     def dissipated(self) -> float:
         """Work dissipated by friction in this step (J), on all ranks. Collective."""
         slips = np.flatnonzero(self.states == SLIPS)

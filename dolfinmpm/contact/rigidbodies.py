@@ -60,6 +60,8 @@ class RigidBodies:
         #: Energy stored by the penalties of contact, now and before the first step (J).
         self.stored = 0.0
         self.given: float | None = None
+        #: Whether points have come, gone, split or merged since the last step.
+        self.changed = False
         self._before = 0.0
         for contact in contacts:
             contact.limit = self._limit
@@ -80,6 +82,10 @@ class RigidBodies:
     def friction_work(self) -> float:
         """Work dissipated by friction on the bodies (J)."""
         return sum(contact.dissipated for contact in self.contacts)
+
+    def stored_here(self) -> float:
+        """Energy stored by the penalties at this rank's points, by their fields (J)."""
+        return sum(contact.stored_here() for contact in self.contacts)
 
     def check_steps(self, in_time: bool, kind: str) -> None:
         """Raise if a body's motion does not fit the steps of a problem.
@@ -214,12 +220,22 @@ class RigidBodies:
         if self.given is None:
             # steps of another problem may have had another stiffness and other corners
             self.given = sum(active.stored() for active in contacts if active not in new)
+        elif self.changed:
+            self._begin_anew(sum(active.stored() for active in contacts))
+            for body in self.all:
+                body.press([active.totals() for active in contacts if active.contact.body is body])
         for body in self.free:
             force = np.concatenate([np.zeros_like(body.force), np.zeros_like(body.moment)])
             for active in contacts:
                 if active.contact.body is body:
                     force += np.concatenate(active.totals())
             accelerate(body, force, kick)
+
+    def _begin_anew(self, stored: float) -> None:
+        """Count what corners of other points store at the start of a step as given (J)."""
+        assert self.given is not None
+        self.given += stored - self.stored
+        self.stored, self.changed = stored, False
 
     def commit(self, contacts: Sequence[ActiveRigidContact]) -> float:
         """Keep the poses of the bodies, and the forces on them. Collective.
@@ -242,6 +258,8 @@ class RigidBodies:
             active.contact.dissipated += active.dissipated()
         if self.given is None:
             self.given = sum(active.stored(before=True) for active in contacts)
+        elif self.changed and any(active.mean_weights is not None for active in contacts):
+            self._begin_anew(sum(active.stored_at_start() for active in contacts))
         self.stored = sum(active.stored() for active in contacts)
         mean = any(active.mean_weights is not None for active in contacts)
         works = [body.commit(*sums[id(body)], mean=mean) for body in self.all]
@@ -265,7 +283,8 @@ class RigidBodies:
             return {}
         rows = {f"rigid body {k}": body.state() for k, body in enumerate(self.all)}
         friction_work = np.array([c.dissipated for c in self.contacts])
-        stored = np.array([self.stored, math.nan if self.given is None else self.given])
+        given = math.nan if self.given is None else self.given
+        stored = np.array([self.stored, given, float(self.changed)])
         return {**rows, "friction's work": friction_work, "stored in contact": stored}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -276,8 +295,9 @@ class RigidBodies:
         if self.all:
             for contact, done in zip(self.contacts, state["friction's work"]):
                 contact.dissipated = float(done)
-            self.stored, given = (float(energy) for energy in state["stored in contact"])
+            self.stored, given, *changed = (float(value) for value in state["stored in contact"])
             self.given = None if math.isnan(given) else given
+            self.changed = any(changed)
 
 
 def _same(one: RigidContact, other: RigidContact) -> bool:

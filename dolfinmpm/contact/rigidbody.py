@@ -263,6 +263,11 @@ class RigidBody(ReadOnce):
             return Pose(start.origin, start.shift + shift, rotation_of(whole, self.gdim), whole)
         return start.moved(shift, turn)
 
+    def press(self, totals: Sequence[tuple[Array, Array]]) -> None:
+        """Set the forces at the start of a step: sums of forces and moments (N, N m)."""
+        self._force = sum((force for force, _ in totals), np.zeros_like(self._force))
+        self._moment = sum((moment for _, moment in totals), np.zeros_like(self._moment))
+
     def commit(self, force: Array, moment: Array, *, mean: bool = False) -> float:
         """Keep the pose at the end of the step, and the forces on the body.
 

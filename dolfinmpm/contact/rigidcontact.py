@@ -24,7 +24,7 @@ from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpoints import CornerFields
 from dolfinmpm.contact.corners import corner_count
-from dolfinmpm.contact.meanforces import MeanForceWeights
+from dolfinmpm.contact.meanforces import MeanForceWeights, normal_energy, slip_energy
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.declarations import Declaration
@@ -162,6 +162,18 @@ class RigidContact(Term):
         mass = points["density"] * points["V0"]
         worst = float((2 * self.stiffness_at(rows) * area / mass).max(initial=0.0))
         return self.points.comm.allreduce(worst, op=MPI.MAX)
+
+    def stored_here(self) -> float:
+        """Energy stored by the penalties at this rank's points at the end of a step (J)."""
+        if self.names.stiffness not in self.points.fields:
+            return 0.0
+        own = (self.names.normal_force, self.names.tangential_force, self.names.stiffness)
+        normal, tangential, k = (self.points.fields.read(name) for name in own)
+        on = k > 0.0
+        stored = float(normal_energy(normal[on], k[on]).sum())
+        if self.law.friction:
+            stored += float(slip_energy(tangential[on], k[on], self.law.slip_share).sum())
+        return stored
 
     def stiffness_at(self, rows: npt.NDArray[np.integer]) -> Array:
         """Penalty per area at some points (Pa/m), shape (len(rows),)."""

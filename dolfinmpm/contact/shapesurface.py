@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.meshfiles import read_mesh
 from dolfinmpm.body.shapes import Ball, Box, Polygon, TurnedBox
 from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
+from dolfinmpm.contact.meshparts import check_parts, volume_of
 from dolfinmpm.contact.rigidshapes import Cone, Plane
 from dolfinmpm.contact.surfaces import HalfSpace, Revolved, RigidSurface, Round, Rounded
 
@@ -75,8 +76,8 @@ def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> FacetedSurf
 
     Raises:
         ParameterError: A corner is not finite, facets are degenerate, the surface has a hole, two
-            neighbours have opposite normals, more than two facets meet at an edge, or all normals
-            point inwards.
+            neighbours have opposite normals, more than two facets meet at an edge, or the normals
+            of all facets or of one part point inwards; see `check_parts`.
     """
     if len(facets) == 0:
         raise ParameterError(f"{name} has no facets")
@@ -95,13 +96,13 @@ def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> FacetedSurf
             f"{shown(x[cells[flat[0], 0]])} m: remove them"
         )
     _check_edges(x, cells, name)
-    middle = x[cells].mean(axis=1) - x.mean(axis=0)
-    volume = float(np.sum(middle * facet_normals(x, cells)))
+    volume = volume_of(x, cells)
     if volume <= 0.0:
         raise ParameterError(
             f"{name} is inside out: the normals of its facets point into the body; reverse the "
             "order of their corners"
         )
+    check_parts(x, cells, name)
     return FacetedSurface(x, cells)
 
 

@@ -9,8 +9,8 @@ that are differences:
   loss by mapping from the points to the nodes and back. In explicit steps it is the kinetic energy
   that the points would have if nodes only changed their velocities, less the energy that they
   have. It is zero in "flip";
-- "merging": kinetic and elastic energy that points lose where they follow the leaves of a refined
-  space, by `Problem.adapt`;
+- "merging": kinetic and elastic energy that points lose where they split and merge, such as by
+  `Problem.adapt`;
 - "integrator": the remainder, such as damping by a rule in time or errors of quadrature.
 """
 
@@ -28,6 +28,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import UnknownNameError
 from dolfinmpm.body.axisymmetry import full_gradient
+from dolfinmpm.body.energychanges import EnergyChanges
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.energies import (
@@ -164,8 +165,8 @@ class Energies:
             depend on the increment, such as `Surface.pressure`, are in "integrator".
         bodies: Kinetic energy of free rigid bodies.
         contact: Energy stored by the penalties of contacts and of walls (`signorini`).
-        initial: Total energy before the first step, plus energy that the user gives to the points
-            between steps.
+        initial: Total energy before the first step, plus energy that the user gives between steps:
+            by velocities, and with points that come or go.
         losses: Name → energy dissipated since the first step, see `dolfinmpm.dynamics.ledger`.
     """
 
@@ -220,6 +221,7 @@ class Ledger:
         self.mass_scaling, self._by_points = mass_scaling, by_points
         self._first = dict.fromkeys(_FIRST, 0.0)
         self._last = 0.0
+        self._changes = EnergyChanges(points, self._own)
 
     def begin(self) -> None:
         """Record the energies before a step, or before a call with several steps. Collective.
@@ -235,7 +237,22 @@ class Ledger:
                 "rubbed": touching[1], "started": 1.0,
             }  # fmt: skip
             first["initial"] = kinetic + strain + first["bodies"] + touching[0]
-        elif self._set_by_user(kinetic):
+            self._changes.taken()
+        else:
+            self._account(kinetic)
+        self._last = kinetic
+
+    def _account(self, kinetic: float) -> None:
+        """Account for what has changed between steps, to a kinetic energy (J). Collective."""
+        first, (given, merged) = self._first, self._changes.taken()
+        self.work.losses["merging"] -= float(merged[:2].sum())
+        first["kinetic"] += float(merged[0])
+        first["strain"] += float(merged[1] + given[1])
+        first["initial"] += float(given[1] + given[2])
+        self._bodies.stored += float(given[2])
+        self._bodies.changed |= bool(given[3] + merged[3] > 0.0)
+        self._last += float(merged[0])
+        if self._set_by_user(kinetic):
             # changed velocities count as velocities at the present time
             first["kinetic"] += kinetic - self._last
             late = (self.work.late + self.work.start) / self.mass_scaling
@@ -249,28 +266,6 @@ class Ledger:
         Ranks add up the energy in another order after a restart, which changes its last digits.
         """
         return not math.isclose(kinetic, self._last, rel_tol=_ROUNDING)
-
-    def parts(self) -> Array:
-        """Kinetic and elastic energy of the points (J), before they split or merge. Collective."""
-        if self.started:
-            self.begin()
-        return np.array([self.kinetic(), self._strain()])
-
-    def merged(self, before: Array) -> None:
-        """Count the energy that splits and merges of the points have taken. Collective.
-
-        Args:
-            before: Result of `parts` before them.
-        """
-        if not self.started:
-            return
-        now = np.array([self.kinetic(), self._strain()])
-        # the elastic energy is no number where a law has none
-        kinetic, strain = np.nan_to_num(now - before)
-        self._first["kinetic"] += float(kinetic)
-        self._first["strain"] += float(strain)
-        self._last = float(now[0])
-        self.work.losses["merging"] -= float(kinetic + strain)
 
     @property
     def started(self) -> bool:
@@ -308,16 +303,22 @@ class Ledger:
 
     def _strain(self) -> float:
         """Elastic energy stored by the laws (J). Collective."""
+        return float(self._points.comm.allreduce(self._own()[1], op=MPI.SUM))
+
+    def _own(self) -> Array:
+        """Kinetic, elastic and contact energy of the points of this rank (J), shape (3,)."""
         strain, V0 = 0.0, self._points.fields.read("V0")
         for declaration in self._form.storing:
             stored = declaration.energy()
             strain += math.nan if stored is None else float(stored @ V0[declaration.rows])
-        return float(self._points.comm.allreduce(strain, op=MPI.SUM))
+        return np.array([kinetic_energy(self._points), strain, self._bodies.stored_here()])
 
     def energies(self) -> Energies:
         """The present energies. Collective."""
         first, work = self._first, self.work
         own, strain = self.kinetic(), self._strain()
+        if first["started"] and self._changes.found():
+            self._account(own)
         # velocities changed by the user count as velocities at the present time
         late = (work.late + work.start) / self.mass_scaling if not self._set_by_user(own) else 0.0
         kinetic = own + late
@@ -346,13 +347,16 @@ class Ledger:
         return Energies(kinetic, strain, work.external, bodies, contact, initial, losses)
 
     def state(self) -> dict[str, Any]:
-        """Its state from step to step."""
+        """Its state from step to step. Collective."""
+        if self.started and self._changes.found():
+            self._account(self.kinetic())
         first = np.array([*self._first.values(), self._last])
         return {"work": self.work.values(), "first energies": first}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`."""
         self.work.take(state["work"])
+        self._changes.taken()
         *first, self._last = (float(v) for v in state["first energies"])
         self._first = dict(zip(_FIRST, first))
 

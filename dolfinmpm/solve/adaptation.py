@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -55,14 +55,11 @@ def adapt(problem: Problem) -> Adaptation:
     if not spaces:
         return Adaptation()
     points, number, joined, energies = problem.points, 0, 0, np.zeros(2)
-    ledger: Any = getattr(problem, "ledger", None)
-    before: Array | None = None
     levels = max(refinement.levels for refinement in _refinements(spaces))
     for _ in range(levels + 1):
         which = _sizes(points, spaces) > _SPLITS
         if not points.comm.allreduce(bool(which.any()), op=MPI.LOR):
             break
-        before = _opened(ledger, before)
         done = split(points, which)
         number += done.count
         energies += _change(done)
@@ -70,23 +67,15 @@ def adapt(problem: Problem) -> Adaptation:
         allowed = (2.0 * _sizes(points, spaces) < _MERGES) & (families(points).level > 0)
         if not points.comm.allreduce(bool(allowed.any()), op=MPI.LOR):
             break
-        before = _opened(ledger, before)
         done = merge(points, _ALIKE, allowed=allowed)
         joined += done.count
         energies += _change(done)
         if not done.count:
             break
-    if before is not None:
-        ledger.merged(before)
     for refinement in _refinements(spaces):
         refinement.hold()
     found = [r.leaves.node.size for r in _refinements(spaces) if r.leaves is not None]
     return Adaptation(number, joined, sum(found), float(energies[0]), float(energies[1]))
-
-
-def _opened(ledger: Any, before: Array | None) -> Array | None:
-    """Energies in a ledger before the first change; None without a ledger. Collective."""
-    return ledger.parts() if before is None and ledger is not None else before
 
 
 def _refinements(spaces: Sequence[Space]) -> list[Refinement]:

@@ -289,8 +289,9 @@ class Problem(ReadOnce):
             ("loads", self.loads),
             ("prescribed", self.essential_conditions),
             *self.form.named_terms(),
-            ("bodies", self.bodies),
+            # the account of energies tells the bodies what has changed between steps
             ("scheme", self.scheme),
+            ("bodies", self.bodies),
             *((f"leaves {k}", refinement) for k, refinement in enumerate(once.values())),
         ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from test_boundary import LAW, scene
 
 import dolfinmpm as mpm
@@ -181,3 +182,33 @@ def test_what_cannot_be_is_refused(bad, name):
     action, error, text = bad[name]
     with np.errstate(all="ignore"), pytest.raises(error, match=text):
         action()
+
+
+def test_segments_that_cross_are_refused():
+    """Their normals pointed out of the body on one side and into it on the other."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 1, 5)] * 2)
+    points = mpm.fill(grid, mpm.Box((0.25, 0.25), (0.75, 0.75)), 2, 1.0)
+    corners = [(0.2, 0.2), (0.8, 0.8), (0.8, 0.3), (0.2, 0.7)]
+    with pytest.raises(ParameterError, match="segments 0 and 2 of the boundary cross at"):
+        mpm.Boundary.from_polygon(points, corners)
+    # the chain ends before it comes back
+    chain = mpm.Boundary.from_polygon(points, corners[:3], closed=False)
+    assert chain.total_area == pytest.approx(0.6 * 2**0.5 + 0.5)
+    # two squares that touch at a corner, and a slit that is cut and comes back
+    touching = [(0.2, 0.2), (0.5, 0.2), (0.5, 0.5), (0.8, 0.5), (0.8, 0.8), (0.5, 0.8), (0.5, 0.5),
+                (0.2, 0.5)]  # fmt: skip
+    assert mpm.Boundary.from_polygon(points, touching).total_area == pytest.approx(2.4)
+
+
+def test_triangles_that_disagree_are_refused():
+    """A few that are turned had given forces the other way in silence."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(3)] * 3)
+    points = mpm.fill(grid, mpm.Box((0, 0, 0), (2, 2, 1)), 2, 1.0)
+    corners = np.array([(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)], float)
+    good, bad = np.array([(0, 1, 2), (0, 2, 3)]), np.array([(0, 1, 2), (0, 3, 2)])
+    make = mpm.Boundary.from_triangles
+    assert make(points, corners, good).total_area == pytest.approx(4.0)
+    # corners of their own, too
+    for x, t in ((corners, bad), (corners[bad].reshape(-1, 3), np.arange(6).reshape(2, 3))):
+        with pytest.raises(ParameterError, match=r"of 1 sides .* disagree, .* at \[1. 1. 1.\] m"):
+            make(points, x, t)

@@ -78,6 +78,31 @@ def test_broken_meshes_are_refused(tmp_path):
             mpm.RigidBody(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("low", "size", "out", "words"),
+    [
+        (5.0, 0.9, False, r"inside out in one part: the normals of the part at \[5. 5. 5.\] m"),
+        (0.25, 0.5, True, "has a part within another"),
+        (0.5, 1.0, True, "crosses itself"),
+        (0.5, 0.9, False, "crosses itself"),
+        (5.0, 1.0, True, None),
+        (0.25, 0.5, False, None),
+    ],
+)
+def test_parts_of_a_mesh(low, size, out, words):
+    """A second cube: the nearest facet would tell the wrong side of parts that are inside out."""
+    second = FACES if out else FACES[:, ::-1]
+    x = np.concatenate([CUBE, low + size * CUBE])
+    both = meshio.Mesh(x, [("triangle", np.concatenate([FACES, second + len(CUBE)]))])
+    if words is not None:
+        with pytest.raises(ParameterError, match=words):
+            mpm.RigidBody(both)
+        return
+    middle = np.full((1, 3), low + 0.5 * size)
+    gap = mpm.RigidBody(both).surface.probe(middle)[0]
+    assert gap == pytest.approx(-0.5 * size if out else 0.5 * size)
+
+
 def test_bodies_that_cannot_be():
     disc = mpm.Disc((0, 0), 1)
     constant = fem.Constant(mesh.create_unit_interval(MPI.COMM_WORLD, 2), 0.0)

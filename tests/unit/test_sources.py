@@ -242,6 +242,10 @@ def test_meshes_that_are_refused(tmp_path):
         read(meshio.Mesh(np.zeros((6, 2)), [("triangle6", [[0, 1, 2, 3, 4, 5]])]))
     with pytest.raises(ParameterError, match="has no volume or is folded"):
         read(meshio.Mesh(SQUARE, [("quad", [[0, 2, 1, 3]])]))
+    # whose volume is not 0 by rounding
+    line = np.array([(0.1, 0.1), (0.3, 0.3), (0.6, 0.6)])
+    with pytest.raises(ParameterError, match="has no volume or is folded"):
+        read(meshio.Mesh(line, [("triangle", [[0, 1, 2]])]))
     with pytest.raises(PointsOutsideGridError, match="points are outside the grid"):
         read(meshio.Mesh(SQUARE * 1000, [("quad", [[0, 1, 2, 3]])]))
     with pytest.raises(FileNotFoundError, match="there is no file"):
