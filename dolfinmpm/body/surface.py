@@ -22,7 +22,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -365,10 +365,10 @@ def _axis(normal: Any, gdim: int) -> Array:
 
 
 def _array(what: str, values: Any) -> Array:
-    try:
-        return np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
+    given = floats(values)
+    if given is None:
+        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers")
+    return given
 
 
 def _check_exposed(points: MaterialPoints, chosen, n: Array) -> None:
