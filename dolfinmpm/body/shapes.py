@@ -354,4 +354,5 @@ class Where(Shape):
         high: Array | None = None,
     ):
         check_function("condition", condition, "of positions that tells which are inside")
-        super().__init__(lambda x: condition(np.ascontiguousarray(x.T)), low=low, high=high)
+        # a copy: functions may change their argument in place
+        super().__init__(lambda x: condition(np.array(x.T, order="C")), low=low, high=high)

@@ -192,6 +192,7 @@ class ExplicitCall:
         if touched:
             points = problem.points
             raise_together(problem.comm, points.error_in_fields() or overwritten(points))
+            problem.form.check_new_tags()
         unseal_results(problem.points)
         adapted = adapt(problem)
         self._record.split, self._record.merged = adapted.split, adapted.merged

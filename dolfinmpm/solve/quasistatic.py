@@ -286,6 +286,7 @@ class QuasiStatic(Problem):
     def _follow_leaves(self) -> None:
         """Let the points follow the leaves, and record it. Collective."""
         raise_together(self.comm, overwritten(self.points))
+        self.form.check_new_tags()
         if self.form.adaptive:
             adapted = adapt(self)
             self._record.split, self._record.merged = adapted.split, adapted.merged

@@ -8,10 +8,12 @@ import pickle
 
 import numpy as np
 import pytest
+import ufl
 from conftest import COMM
+from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import FormError, ParameterError
 
 
 def scene(kind=mpm.QuasiStatic, **options):
@@ -84,3 +86,46 @@ def test_copies(copied):
         again = copied(law)
         assert repr(again) == repr(law)
         assert np.array_equal(again.respond(strain).stress, law.respond(strain).stress)
+
+
+@pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Newmark, mpm.Explicit])
+def test_tags_without_a_law_after_a_step(kind):
+    grid = mpm.create_lattice(COMM, [range(3), range(4)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), per_cell=2, density=1000.0, tag=1)
+    V, law = mpm.Space(grid), mpm.materials.Hencky(E=1e6, nu=0.0)
+    u, v, g = V.increment, V.test, fem.Constant(grid, (0.0, -10.0))
+    F = mpm.momentum(law, points, u, v, tag=1) + mpm.momentum(law, points, u, v, tag=4)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    problem = kind(F, u, points, mpm.fixed(V, "bottom"))
+    times = iter([None] * 9 if kind is mpm.QuasiStatic else np.arange(1, 9) * 1e-3)
+    problem.step(next(times))
+    above = points["x"][:, 1] > 1.5
+    points["tag"][above] = 3
+    with pytest.raises(FormError, match=r"the 4 points of tag 3 have the load .* and no law"):
+        problem.step(next(times))
+    # a law of this tag has been waiting
+    points["tag"][above] = 4
+    problem.step(next(times))
+    points.add(mpm.fill(grid, mpm.Box((0, 2), (2, 3)), per_cell=2, density=1000.0, tag=7))
+    with pytest.raises(FormError, match=r"the 8 points of tag 7 have the load .* and no law"):
+        problem.step(next(times))
+
+
+GRIDS = {
+    1: lambda: mesh.create_interval(COMM, 2, (0.0, 2.0)),
+    2: lambda: mpm.create_lattice(COMM, [range(3), range(3)]),
+}
+
+
+@pytest.mark.parametrize("d", GRIDS)
+def test_functions_that_change_their_argument(d):
+    def left(x):
+        x *= 0.5
+        return x[0] < 0.5
+
+    points = mpm.fill(GRIDS[d](), mpm.Where(left, low=(0,) * d, high=(2.0,) * d), 2, 1.0)
+    assert points["x"].max(axis=0).tolist() == [0.75, 1.75][:d]
+    points.add_field("depth", value=lambda x: left(x) * 1.0)
+    points.remove(lambda x: ~left(x) | (x[0] > 0.3))
+    assert points["x"].max(axis=0).tolist() == [0.25, 1.75][:d]
+    assert points["x0"].max(axis=0).tolist() == [0.25, 1.75][:d]
