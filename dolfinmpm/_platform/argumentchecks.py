@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 __all__ = [
     "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates", "cut",
-    "file_path", "floats", "number", "refuse_idle", "shown", "truth", "whole",
+    "file_path", "floats", "is_endless", "number", "refuse_idle", "shown", "truth", "whole",
 ]  # fmt: skip
 
 Tags = tuple[int, ...] | None
@@ -80,12 +80,19 @@ def at_time(what: str, given: Any, t: float) -> Any:
     """Value at a time t (s) of an argument that may be a function of time.
 
     Raises:
-        ParameterError: The argument is a function, and does not take a time.
+        ParameterError: The argument is a function, and does not take a time, or fails.
     """
     if not callable(given):
         return given
     try:
         return given(t)
+    except (ArithmeticError, LookupError, ValueError) as error:
+        if isinstance(error, DolfinMPMError):
+            raise
+        raise ParameterError(
+            f"{what}, a function of the time, failed at {t:g} s with {type(error).__name__}: "
+            f"{error}"
+        ) from error
     except TypeError:
         # the error may come from inside the function, or from its arguments
         try:
@@ -126,7 +133,14 @@ def number(
         value = value.item()
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         raise ParameterError(f"{what} = {shown(value)} must be a number{unit and f' ({unit})'}")
-    given = float(value)
+    try:
+        given = float(value)
+    except OverflowError:
+        # a whole number or a fraction beyond 1e308
+        raise ParameterError(
+            f"{what} = {shown(value)} is beyond the largest floating point number, 1.8e308"
+            f"{unit and f' {unit}'}: give a smaller number"
+        ) from None
     most = math.inf if high is None else high
     inside = low <= given <= most if closed else low < given < most
     if not inside or (math.isinf(given) and not (closed and given == high)):
@@ -136,6 +150,11 @@ def number(
         undefined = "; nan is the result of a failed computation" * math.isnan(given)
         raise ParameterError(f"{what} = {given:g}{unit and f' {unit}'} must be {limits}{undefined}")
     return given
+
+
+def is_endless(value: Any, sign: float = 1.0) -> bool:
+    """Whether a value is the number infinity, of this sign."""
+    return isinstance(value, numbers.Real) and float(value) == sign * math.inf
 
 
 def whole(what: str, value: Any, least: int) -> int:
@@ -193,7 +212,7 @@ def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
         if isinstance(given, np.ma.MaskedArray):
             return np.array(np.ma.filled(given.astype(np.float64), np.nan), np.float64)
         return np.array(given, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ParameterError(
             f"{what} = {shown(given)} must be numbers, such as (0.0, 1.0)"
         ) from None
@@ -202,12 +221,14 @@ def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
 def floats(given: Any) -> npt.NDArray[np.float64] | None:
     """Numbers as an array of any shape, or None if they are none; the caller raises.
 
+    Masked values become nan.
+
     Args:
         given: The numbers.
     """
     try:
-        return np.asarray(given, np.float64)
-    except (TypeError, ValueError):
+        return coordinates("", given)
+    except ParameterError:
         return None
 
 

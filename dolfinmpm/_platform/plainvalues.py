@@ -136,7 +136,11 @@ def equal_up_to_rounding(a: Any, b: Any) -> bool:
         return len(a) == len(b) and all(map(equal_up_to_rounding, a, b))
     if not (_is_number(a) and _is_number(b)):
         return type(a) is type(b) and a == b
-    return math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
+    try:
+        return math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
+    except OverflowError:
+        # a whole number beyond floats
+        return bool(a == b)
 
 
 def _is_number(value: Any) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import floats, shown
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError
 from dolfinmpm.grid.userfunctions import call_function
 
@@ -85,13 +85,12 @@ class PointField(ufl.Coefficient):
         shape = self.ufl_shape
         if callable(self.first):
             return call_function(f"the first value of field '{self.name}'", self.first, x0, shape)
-        try:
-            given = np.asarray(self.first, float)
-        except (TypeError, ValueError):
+        given = floats(self.first)
+        if given is None:
             raise FieldShapeError(
                 f"field '{self.name}' has numbers of shape {shape} at a point, its first value is "
                 f"{shown(self.first)}"
-            ) from None
+            )
         if given.shape not in ((), shape):
             raise FieldShapeError(
                 f"field '{self.name}' has shape {shape} at a point, its first value {given.shape}"

@@ -110,6 +110,8 @@ def fill(
     """
     require_grid(grid)
     _check_arguments(shape, per_cell, aligned, tag)
+    # numbers of few bits would overflow
+    per_cell = int(per_cell)
     check_per_cell(per_cell, grid.geometry.dim)
     exact, axisymmetric = truth("exact", exact), truth("axisymmetric", axisymmetric)
     if axisymmetric:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,7 +81,8 @@ def redistributed(points: MaterialPoints, partition: Partition | None) -> Materi
     """
     if points.partition is partition:
         return points
-    result = copy.copy(points)
+    result = object.__new__(type(points))
+    vars(result).update(vars(points))
     result.partition = partition
     grid, x = points.grid, points.placement(points.configuration).x
     to = destinations(grid, x, None, partition)

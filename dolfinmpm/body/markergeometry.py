@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.argumentchecks import floats, number, shown
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -130,10 +130,9 @@ def corners_of(what: str, values: Any, d: int) -> Array:
         FieldShapeError: The argument has another shape, or is no array of numbers.
         ParameterError: A value is not finite.
     """
-    try:
-        given = np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
+    given = floats(values)
+    if given is None:
+        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers")
     if given.size == 0:
         return np.empty((0, d))
     if given.ndim != 2 or given.shape[1] != d:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.argumentchecks import floats
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import (
     DolfinMPMError,
@@ -107,15 +108,14 @@ def check_grid(points: MaterialPoints) -> None:
 def checked(what: str, values: Any, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
     """Values as floats of a shape; a single number, or one value for all points, is repeated.
 
+    Masked values become nan.
+
     Raises:
         FieldShapeError: They are no numbers, or of another shape.
     """
-    try:
-        given = np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise FieldShapeError(
-            f"{what} should be numbers of shape {shape}, got {values!r}"
-        ) from None
+    given = floats(values)
+    if given is None:
+        raise FieldShapeError(f"{what} should be numbers of shape {shape}, got {values!r}")
     if given.shape not in ((), shape) and (len(shape) == 1 or given.shape != shape[1:]):
         raise FieldShapeError(
             f"{what} should have shape {shape} (this rank's points first), got {given.shape}"

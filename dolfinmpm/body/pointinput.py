@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import shown, truth
+from dolfinmpm._platform.argumentchecks import floats, shown, truth
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -102,12 +102,9 @@ def _outside(id, x) -> PointsOutsideGridError | None:
 
 def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: bool) -> Rows:
     """The arrays that this rank gives, checked."""
-    try:
-        if np.iscomplexobj(x):
-            raise TypeError
-        at = np.asarray(x, float)
-    except (TypeError, ValueError):
-        raise FieldShapeError(f"x should be numbers of shape (n, {gdim}), got {x!r}") from None
+    at = floats(x)
+    if at is None:
+        raise FieldShapeError(f"x should be numbers of shape (n, {gdim}), got {x!r}")
     at = np.empty((0, gdim)) if at.size == 0 else at
     if at.ndim == 1 and gdim == 1:
         at = at[:, None]
@@ -169,11 +166,11 @@ def _further(fields, at: Array) -> Rows:
                 f"field '{name}' is one that all points have; give it by its argument, or set "
                 f"points['{name}'] afterwards"
             )
-        given = np.asarray(values)
-        if given.shape[:1] != (n,):
-            raise FieldShapeError(f"field '{name}' should have {n} rows, got {given.shape}")
-        rows[f"field:{name}"] = checked(f"field '{name}'", given, given.shape)
-        finite = np.isfinite(rows[f"field:{name}"])
+        shape = np.shape(values)
+        if shape[:1] != (n,):
+            raise FieldShapeError(f"field '{name}' should have {n} rows, got {shape}")
+        rows[f"field:{name}"] = given = checked(f"field '{name}'", values, shape)
+        finite = np.isfinite(given)
         good = np.asarray(finite.all(axis=tuple(range(1, finite.ndim))))
         if not good.all():
             k = int(np.argmin(good))

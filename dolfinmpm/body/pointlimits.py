@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["check_amount", "check_per_cell"]
@@ -15,10 +16,11 @@ _BYTES = 300
 
 def check_per_cell(per_cell: int, gdim: int) -> None:
     """Raise ParameterError if a cell would have too many points to be meant."""
-    if per_cell**gdim > _MOST_OF_A_CELL:
+    if per_cell > _MOST_OF_A_CELL or per_cell**gdim > _MOST_OF_A_CELL:
+        many = f"{float(per_cell) ** gdim:.4g}" if per_cell < 1e100 else "far too many"
         raise ParameterError(
-            f"per_cell = {per_cell} puts {per_cell**gdim:.4g} points into each cell, and must not "
-            f"put more than {_MOST_OF_A_CELL}; 2 to 4 a direction are usual: refine the grid"
+            f"per_cell = {shown(per_cell)} puts {many} points into each cell, and must not put "
+            f"more than {_MOST_OF_A_CELL}; 2 to 4 a direction are usual: refine the grid"
         )
 
 

@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
     call_together,
 )
 from dolfinmpm._platform.html import listing
+from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.familyids import ancestors_of
@@ -50,7 +51,7 @@ BUILT_IN = {
 }
 
 
-class PointTable:
+class PointTable(Uncopied):
     """Fields of material points by name: their arrays on this rank, and their symbols for UFL.
 
     Args:
@@ -281,6 +282,11 @@ class PointTable:
             raise ParameterError(
                 "'id' identifies the points, and two points would have the same number; for other "
                 "numbers add a field, points.add_field"
+            )
+        if np.ma.is_masked(values):
+            raise ParameterError(
+                f"{np.ma.count_masked(values)} values for field '{name}' are masked, and each "
+                "point needs one: fill them, as values.filled(0.0)"
             )
         given = np.asarray(values)
         if not np.can_cast(given.dtype, target.dtype, "same_kind"):

@@ -17,6 +17,9 @@ __all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
 
 Array = npt.NDArray[np.float64]
 
+# Length beyond which volumes in 3D are no numbers (m)
+_LARGEST = 1e100
+
 
 class Shape:
     """A region of space, the base class of all shapes; see `Where` for a region by a function.
@@ -222,7 +225,7 @@ class Ball(Shape):
     """
 
     def __init__(self, centre: float | Sequence[float], radius: float):
-        number("radius", radius, 0.0, unit="m")
+        radius = number("radius", radius, 0.0, _LARGEST, unit="m")
         middle = np.atleast_1d(coordinates("centre", centre))
         if middle.ndim != 1 or middle.size > 3 or not np.isfinite(middle).all():
             raise ParameterError(f"centre = {centre} m must be one to three finite coordinates")
@@ -351,4 +354,5 @@ class Where(Shape):
         high: Array | None = None,
     ):
         check_function("condition", condition, "of positions that tells which are inside")
-        super().__init__(lambda x: condition(np.ascontiguousarray(x.T)), low=low, high=high)
+        # a copy: functions may change their argument in place
+        super().__init__(lambda x: condition(np.array(x.T, order="C")), low=low, high=high)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError
 from dolfinmpm.body.points import MaterialPoints
 
@@ -42,10 +42,10 @@ def axis_of(normal: Any, gdim: int) -> Array:
 
 
 def numbers_of(what: str, values: Any) -> Array:
-    try:
-        return np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
+    given = floats(values)
+    if given is None:
+        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers")
+    return given
 
 
 def check_exposed(points: MaterialPoints, chosen, n: Array) -> None:

@@ -59,7 +59,7 @@ class Terrain:
     """
 
     def __init__(self, lines: Sequence[Any], heights: Any):
-        several = lines if isinstance(lines, (Sequence, np.ndarray)) else ()
+        several = lines if isinstance(lines, Sequence) or np.ndim(lines) > 0 else ()
         own = tuple(coordinates("lines", line) for line in several)
         z = coordinates("heights", heights)
         if not 1 <= len(own) <= 2 or any(line.ndim != 1 or line.size < 2 for line in own):

@@ -64,7 +64,7 @@ class Wedge(Polygon):
 
     def __init__(self, tip: Sequence[float], semi_angle: float, height: float):
         slope = math.tan(in_radians("semi_angle", semi_angle, 0.0, 90.0))
-        number("height", height, 0.0, unit="m")
+        number("height", height, 0.0, 1e100, unit="m")
         at, reach = coordinates("tip", tip), height * slope
         if at.shape != (2,):
             raise ParameterError(f"tip = {tip} must be a point in 2D")

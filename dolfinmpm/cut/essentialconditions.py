@@ -103,6 +103,7 @@ class EssentialConditions:
         conditions: The same conditions, at the present nodes of those that follow a place.
         changing: Whether prescribed values may differ from zero in some step.
         follows: Whether some condition's nodes may change.
+        read: The user's list, and its entries when the problem was made.
 
     Raises:
         ConflictingConditionsError: Two conditions prescribe different values of a component.
@@ -110,6 +111,7 @@ class EssentialConditions:
 
     def __init__(self, conditions: Sequence[Condition], spaces: Sequence[Space]):
         self.given, self.conditions = list(conditions), list(conditions)
+        self.read: tuple[list[Any], tuple[Any, ...]] = [], ()
         self._spaces = list(spaces)
         comm = spaces[0].grid.comm
         changing = any(condition.changes for condition in conditions)

@@ -49,7 +49,7 @@ from dolfinmpm.dynamics.smallmass import BulkViscosity, check_filters
 from dolfinmpm.forms.formchecks import check_explicit
 from dolfinmpm.kinematics.footing import refuse_footings
 from dolfinmpm.solve.agreement import of_step
-from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.arguments import as_read, increments_of
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.problemchecks import refuse_field_tags
@@ -182,6 +182,7 @@ class Explicit(MovingBody, Problem):
         settings.mapping.add_fields(points)
         conditions, faces = split_conditions(bcs)
         super().__init__(form, increment, points, conditions, scheme=Marching(self), **options)
+        self.essential_conditions.read = as_read(bcs)
         refuse_field_tags(
             self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)"
         )

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.argumentchecks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, is_endless, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.kinks import Kinks
@@ -32,7 +32,7 @@ def checked_courant(courant: Any) -> float:
     Raises:
         ParameterError: The argument is no number, or above 1.
     """
-    share = math.inf if courant == math.inf else number("courant", courant, 0.0)
+    share = math.inf if is_endless(courant) else number("courant", courant, 0.0)
     if 1.0 < share < math.inf:
         raise ParameterError(
             f"courant = {share:g} is a share of the critical step and must be at most 1: longer "

@@ -24,6 +24,7 @@ from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.solve.adaptation import adapt
+from dolfinmpm.solve.arguments import changed_list
 from dolfinmpm.solve.loads import check_loads
 
 __all__ = ["CallMemory", "ExplicitCall", "Snapshot"]
@@ -181,13 +182,17 @@ class ExplicitCall:
     def _begin(self) -> Set[str]:
         """Begin the call; returns the fields changed since the last call. Collective."""
         problem, memory = self._problem, self._memory
-        check_loads(problem.loads.items, problem.form.given, problem.bcs, problem.comm)
+        check_loads(
+            problem.loads.items, problem.form.given, problem.bcs, problem.comm,
+            changed_list(*problem.essential_conditions.read),
+        )  # fmt: skip
         problem._check_still_valid()
         problem.bodies.follow_constants(self._whole)
         touched = memory.touched(problem.points)
         if touched:
             points = problem.points
             raise_together(problem.comm, points.error_in_fields() or overwritten(points))
+            problem.form.check_new_tags()
         unseal_results(problem.points)
         adapted = adapt(problem)
         self._record.split, self._record.merged = adapted.split, adapted.merged

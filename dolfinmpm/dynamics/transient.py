@@ -25,7 +25,7 @@ from dolfinmpm.dynamics.clock import (
 )
 from dolfinmpm.dynamics.faces import split_conditions
 from dolfinmpm.dynamics.timescheme import TimedScheme
-from dolfinmpm.solve.arguments import check_points
+from dolfinmpm.solve.arguments import as_read, check_points
 from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import check_pressure_conditions, check_pressure_level
@@ -158,6 +158,7 @@ class Transient(QuasiStatic):
         check_clock(time, points.grid)
         scheme = Rates(points, error, time)
         super().__init__(form, increment, points, conditions, scheme=scheme, **options)
+        self.essential_conditions.read = as_read(bcs)
         if error is not None:
             points.add_field(_RATE, (points.gdim,), "m/s")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ class TagChecks:
         declarations: Declarations of the laws at the points.
         spaces: Spaces of the increments.
         alone: Whether the only terms on the grid are ghost penalties.
+        known: Tags whose points `check_new` has found to have laws.
     """
 
     points: MaterialPoints
@@ -42,6 +43,7 @@ class TagChecks:
     declarations: Sequence[Declaration]
     spaces: Sequence[Space]
     alone: bool
+    known: set[int] = field(default_factory=set)
 
     @property
     def _of_laws(self) -> list[Tags]:
@@ -75,7 +77,24 @@ class TagChecks:
                 f"no point has a law: the laws are for {_all_of(self.declarations)}, and "
                 f"the points have the tags {in_order(in_use)}"
             )
-        for tag in sorted(in_use):
+        self._check_loads(in_use)
+
+    def check_new(self) -> None:
+        """Refuse loads on points of new tags without a law; returns all tags in use. Collective.
+
+        The user may have set tags since, or added points.
+
+        Raises:
+            FormError: Loaded points have no law.
+        """
+        if any(self._of_laws):
+            new = tags_in_use(self.points) - self.known
+            self._check_loads(new)
+            self.known.update(new)
+
+    def _check_loads(self, tags: set[int]) -> None:
+        """Refuse loads on points of some tags without a resisting term. Collective."""
+        for tag in sorted(tags):
             for space in self.spaces:
                 moves = space.increment.ufl_shape == (self.points.gdim,)
                 if moves and _has(space.tags, tag):

@@ -29,7 +29,8 @@ Array = npt.NDArray[np.float64]
 def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
     n, d = x.shape
     try:
-        return function(np.ascontiguousarray(x.T))
+        # a copy: functions may change their argument in place
+        return function(np.array(x.T, order="C"))
     except DolfinMPMError:
         raise  # the message is clear already
     except Exception as error:

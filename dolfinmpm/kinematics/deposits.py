@@ -23,7 +23,14 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number, refuse_idle, shown
+from dolfinmpm._platform.argumentchecks import (
+    check_kind,
+    coordinates,
+    is_endless,
+    number,
+    refuse_idle,
+    shown,
+)
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.formarguments import check_points
@@ -79,7 +86,7 @@ class Layer:
     saturated_unit_weight: float | None = None
 
     def __post_init__(self):
-        if not callable(self.bottom) and self.bottom != -math.inf:
+        if not callable(self.bottom) and not is_endless(self.bottom, -1.0):
             number("bottom", self.bottom, unit="m")
         number("unit_weight", self.unit_weight, 0.0, closed=True, unit="N/m³")
         if number("K0", self.K0, 0.0, closed=True) > _LARGEST_K0:
@@ -160,7 +167,8 @@ class Deposit:
         for layer in layers:
             check_kind("a layer", layer, Layer, "make it with mpm.Layer(bottom, unit_weight, K0)")
         for what, height in (("surface", surface), ("water_table", water_table)):
-            if height is not None and not callable(height):
+            dry = height is None and what == "water_table"
+            if not dry and not callable(height):
                 number(what, height, unit="m")
         number("water_weight", water_weight, 0.0, closed=True, unit="N/m³")
         if water_table is None:

@@ -235,7 +235,7 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
     """
 
     def checked(name: str, value: npt.ArrayLike, low: float) -> Array:
-        values = np.asarray(value, float)
+        values = coordinates(name, value)
         bad = ~(np.isfinite(values) & (values >= low))
         if bad.any():
             raise ParameterError(

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dolfinmpm._platform.argumentchecks import number, refuse_idle, whole
+from dolfinmpm._platform.argumentchecks import number, refuse_idle, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.cyclickernel import PROPERTIES, cyclic_address
 from dolfinmpm.materials.druckerprager import cone
@@ -16,6 +16,9 @@ from dolfinmpm.materials.umat import UMAT
 __all__ = ["HardinDrnevich"]
 
 _COMPONENTS = ("11", "22", "33", "12", "13", "23")
+
+# Reversals that a point can keep
+_MOST_REVERSALS = 1000
 
 
 class HardinDrnevich(UMAT):
@@ -117,6 +120,11 @@ class HardinDrnevich(UMAT):
             why = "there is no bound of strength: give cohesion=, 0 for sand"
             refuse_idle("friction_angle", friction_angle, 0.0, why)
         levels = whole("reversals", reversals, 2)
+        if levels > _MOST_REVERSALS:
+            raise ParameterError(
+                f"HardinDrnevich: reversals = {shown(levels)} must be at most {_MOST_REVERSALS}: "
+                "each takes six numbers per point, and small loops forget them; 8 are usual"
+            )
         self.cohesion = float(cohesion)
         self.properties = self._properties().ravel()
         self.properties.flags.writeable = False

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import UserDict
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,36 @@ class Parameter:
             )
 
 
+class ReadOnly(UserDict[str, Any]):
+    """A dictionary of a law: its entries can be read, and not changed."""
+
+    def __init__(self, given: Mapping[str, Any]):
+        super().__init__()
+        self.data = dict(given)
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        raise ParameterError(
+            f"{name} = {shown(value)}: the parameters of a law are fixed, and a problem that uses "
+            "it would not learn of others; make a new law and a new problem with it, which "
+            "compiles nothing anew"
+        )
+
+    def __delitem__(self, name: str) -> None:
+        raise ParameterError(
+            f"'{name}' cannot be removed: the parameters of a law are fixed; make a new law and a "
+            "new problem with it"
+        )
+
+    def __ior__(self, other: Any) -> ReadOnly:  # type: ignore[override,misc]
+        # dictionaries of users would be changed in place
+        self.update(other)
+        return self
+
+    def copy(self) -> dict[str, Any]:  # type: ignore[override]
+        """A dictionary that can be changed."""
+        return dict(self.data)
+
+
 class Parametrised:
     """Base of all laws: named parameters, checked and fixed once given.
 
@@ -91,11 +121,18 @@ class Parametrised:
             assigned to later.
     """
 
-    parameters: dict[str, Parameter] = {}
+    parameters: Mapping[str, Parameter] = {}
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        own = cls.__dict__.get("parameters")
+        if isinstance(own, dict):
+            # they are those of all laws of the class
+            cls.parameters = ReadOnly(own)
 
     def __init__(self, **values: Value):
         given_parameters: Any = self.parameters
-        if not isinstance(given_parameters, dict) or not all(
+        if not isinstance(given_parameters, Mapping) or not all(
             isinstance(one, Parameter) for one in given_parameters.values()
         ):
             raise ParameterError(
@@ -121,7 +158,9 @@ class Parametrised:
                 if isinstance(value, np.ndarray):
                     value.flags.writeable = False
             given[name] = value
-        self.values: Mapping[str, Value] = MappingProxyType(given)
+        self.values: Mapping[str, Value] = ReadOnly(given)
+        if "parameters" in vars(self):
+            self.parameters = ReadOnly(self.parameters)
         if not self.varies:
             self.parameter_array()
 
@@ -138,7 +177,7 @@ class Parametrised:
     def _numbers(self, name: str, value: Any) -> Array:
         """A number, or an array with one number per point."""
         try:
-            array = None if value is None else np.asarray(value)
+            array = None if value is None or np.ma.is_masked(value) else np.asarray(value)
             if array is not None and array.dtype != bool:
                 return array.astype(float, casting="same_kind")
         except (TypeError, ValueError):

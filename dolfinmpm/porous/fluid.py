@@ -12,7 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import Tags, number
+from dolfinmpm._platform.argumentchecks import Tags, is_endless, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.points import MaterialPoints, PointField
 
@@ -48,7 +48,7 @@ class Fluid:
     def __post_init__(self):
         number("density", self.density, 0.0, unit="kg/m³")
         number("gravity", self.gravity, 0.0, unit="m/s²")
-        if self.bulk_modulus != math.inf:
+        if not is_endless(self.bulk_modulus):
             number("bulk_modulus", self.bulk_modulus, 0.0, unit="Pa")
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.argumentchecks import floats, number, shown
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.formarguments import check_displacement, check_increment, check_test
 from dolfinmpm.body.points import MaterialPoints, PointField
@@ -154,13 +154,13 @@ def _of_porosity(function: Any, J: Any, n: Any) -> Any:
 
 
 def _tensor(given: Any) -> npt.NDArray[np.float64]:
-    try:
-        return np.asarray(given, float)
-    except (TypeError, ValueError):
+    tensor = floats(given)
+    if tensor is None:
         raise ParameterError(
             f"permeability = {shown(given)} must be a number (m/s), a tensor, UFL or a function of "
             "J and n"
-        ) from None
+        )
+    return tensor
 
 
 def gravity_of(gravity: Any, points: MaterialPoints) -> Any:

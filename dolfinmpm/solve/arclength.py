@@ -21,6 +21,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.formchecks import check_form
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import (
+    as_read,
     check_conditions,
     check_path,
     check_updates,
@@ -219,7 +220,7 @@ class ArcLength(QuasiStatic):
     ):
         increments = increments_of(increment, points)
         u, spaces = increments[0], [v._dolfinmpm_space for v in increments]
-        bcs = check_conditions(bcs, spaces)
+        given, bcs = as_read(bcs), check_conditions(bcs, spaces)
         check_form(form)
         updates = check_updates(options.pop("updates", None), points)
         check_path(points, u, bcs, length, first, factor, max_length, target_iterations)
@@ -235,6 +236,7 @@ class ArcLength(QuasiStatic):
         updates["arc_increment"] = u
         scheme = AlongPath()
         super().__init__(form, increment, points, bcs, updates=updates, scheme=scheme, **options)
+        self.essential_conditions.read = given
         refuse_field_tags(self.fields, "ArcLength", "take QuasiStatic")
         if self.bodies.free:
             raise ParameterError(

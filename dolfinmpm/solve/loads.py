@@ -151,7 +151,11 @@ def load_name(item: Any) -> str:
 
 
 def check_loads(
-    items: Sequence[Any], form: ufl.Form, bcs: Sequence[Condition], comm: MPI.Comm
+    items: Sequence[Any],
+    form: ufl.Form,
+    bcs: Sequence[Condition],
+    comm: MPI.Comm,
+    error: Exception | None = None,
 ) -> None:
     """Raise on all ranks if a load or a prescribed increment is not finite. Collective.
 
@@ -160,11 +164,11 @@ def check_loads(
         form: The form; the message names the term with the load.
         bcs: Essential conditions.
         comm: The ranks.
+        error: Another error of this rank, or None.
 
     Raises:
         ParameterError: A value is not finite; the message has its name, value and term.
     """
-    error: Exception | None = None
     for item in items:
         function = isinstance(item, fem.Function)
         values = item.x.array if function else item.value

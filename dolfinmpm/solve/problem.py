@@ -19,6 +19,7 @@ from dolfinmpm._platform.argumentchecks import file_path, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import ReadList, ReadOnce
+from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.assembly.state import HasState, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis.conditionchecks import warn_idle
@@ -43,6 +44,7 @@ from dolfinmpm.solve import setup
 from dolfinmpm.solve.adaptation import Adaptation, adapt
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
+    as_read,
     check_bcs_and_loads,
     check_callable,
     check_conditions,
@@ -71,7 +73,7 @@ from dolfinmpm.terms.referencemarkers import require_reference
 __all__ = ["Problem"]
 
 
-class Problem(ReadOnce):
+class Problem(Uncopied, ReadOnce):
     """A weak form over points and grid, for steps through time or load.
 
     Args:
@@ -98,8 +100,7 @@ class Problem(ReadOnce):
 
     scheme: Scheme
     _attributes = frozenset({"points", "form", "scheme"})
-    # whether the user may give a scheme
-    _takes_scheme = True
+    _takes_scheme = True  # whether the user may give a scheme
     _elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
         ("energies", "momentum", "angular_momentum", "time"),
         "it is for steps in time: mpm.Newmark, mpm.GeneralisedAlpha and mpm.Explicit",
@@ -125,7 +126,7 @@ class Problem(ReadOnce):
         check_laws(form, points)
         check_hoops(form, points)
         check_grid(points)
-        bcs = check_conditions(bcs, spaces)
+        read, bcs = as_read(bcs), check_conditions(bcs, spaces)
         check_times(type(self).__name__, scheme.inertia, scheme.in_time, form, points, bcs)
         check_room(points)
         updates = check_updates(updates, points)
@@ -154,6 +155,7 @@ class Problem(ReadOnce):
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None
         self.essential_conditions = EssentialConditions(bcs, spaces)
+        self.essential_conditions.read = read
         self.form.updates = setup.updates_of(self.form, updates)
         loads = loads_of(self.form.loads)
         check_bcs_and_loads(bcs, loads, self.configuration)

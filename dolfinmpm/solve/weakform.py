@@ -176,6 +176,15 @@ class WeakForm:
             self._revision = revision
             self._first_moduli()
 
+    def check_new_tags(self) -> None:
+        """Refuse loads on points whose tags are new, and have no law. Collective.
+
+        Raises:
+            FormError: Loaded points have no law.
+        """
+        if self._revision >= 0:
+            self.parts.tagged.check_new()
+
     def _laws_of(self, modulus: FacetModulus) -> list[Declaration]:
         """The laws whose tangent gives a modulus.
 

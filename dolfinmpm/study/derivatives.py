@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth, whole
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import RunState
+from dolfinmpm.study.derivativenotes import doubtful, rounded_away, too_steep, without_effect
 from dolfinmpm.study.derivativerestart import Savepoints
 from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
 from dolfinmpm.study.scenerun import Scene
@@ -31,11 +31,8 @@ _Found = dict[str, dict[str, list[Array]]]
 # rounding is 1e-16 over it, times 10 to 100 from the solution. The third derivative counts with its
 # square, the second with itself.
 CENTRAL, ONE_SIDED = 1e-6, 8e-8
-# Ratio of the second perturbation of an estimate to the first one, and the estimated error from
-# which a derivative is doubtful
-_SECOND, _DOUBTFUL = 8.0, 1e-3
-# Share of the changes of positions by the perturbation that is told as lost in their rounding
-_LOST = 1e-5
+# Ratio of the second perturbation of an estimate to the first one
+_SECOND = 8.0
 # Least perturbation as a share of the parameter: the rounding of figures, 1e-16 of them or more,
 # is then at most 1e-4 of their derivatives by ln m
 _LEAST = 1e-12
@@ -60,8 +57,7 @@ class Derivatives:
     The stress in a bar is proportional to Young's modulus:
 
     >>> import dolfinmpm as mpm
-    >>> from mpi4py import MPI
-    >>> def scene(m):
+    >>>     >>> def scene(m):
     ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
     ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
     ...     V = mpm.Space(grid, "gimp")
@@ -149,8 +145,7 @@ def differentiate(
     >>> import dolfinmpm as mpm
     >>> import ufl
     >>> from dolfinx import fem
-    >>> from mpi4py import MPI
-    >>> def scene(m):
+    >>>     >>> def scene(m):
     ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(6)])
     ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=m["density"])
     ...     V = mpm.Space(grid, "gimp")
@@ -199,7 +194,9 @@ def differentiate(
 
         def make(sign: int) -> FollowedRun:
             moved = parameters[name] + sign * change
-            return FollowedRun(scene, {**parameters, name: moved}, quiet=True)
+            other = FollowedRun(scene, {**parameters, name: moved}, quiet=True)
+            base.refuse_shared(other, name)
+            return other
 
         return FollowingRuns(make, name, change / sizes[name], both, tape)
 
@@ -222,8 +219,10 @@ def differentiate(
         {k: np.array(values) for k, values in figures.items()},
         {k: {m: np.array(v) for m, v in by.items()} for k, by in found[0].items()},
         [text for pair in sets[0] for text in pair.told()]
-        + _rounded(base, sets[0])
-        + [_doubt(m, e) for m, e in errors.items() if e > _DOUBTFUL],
+        + rounded_away(base, sets[0])
+        + without_effect(found[0], list(sizes))
+        + too_steep(figures, found[0], sets[0])
+        + doubtful(errors),
         errors, seconds,
     )  # fmt: skip
 
@@ -277,28 +276,6 @@ def _followed(
     return figures, found
 
 
-def _rounded(base: FollowedRun, pairs: Sequence[FollowingRuns]) -> list[str]:
-    """Note about changes of positions that are lost in their rounding. Collective.
-
-    Args:
-        base: The run.
-        pairs: The runs that follow.
-    """
-    x = [problem.points.fields.read("x") for problem in base.problems]
-    place = max(float(np.abs(one).max(initial=0.0)) for one in x)
-    place = base.comm.allreduce(place, op=MPI.MAX)
-    moved = base.comm.allreduce(max(pair.moved for pair in pairs), op=MPI.MAX)
-    lost = np.finfo(float).eps * place
-    # without any motion, no figure hangs on rounded motions
-    if not moved or lost <= _LOST * moved:
-        return []
-    return [
-        f"positions up to {place:.3g} m are rounded to {lost:.1g} m, and the perturbation changes "
-        f"them by {moved:.1g} m: derivatives may have errors of {lost / moved:.0e}; larger "
-        "perturbations have more digits, such as central=True with epsilon=1e-5"
-    ]
-
-
 def _change(name: str, value: float, size: float, epsilon: float) -> float:
     """The change ε Δm of a parameter as its values have it, with all digits.
 
@@ -329,13 +306,6 @@ def _difference(name: str, one: _Found, two: _Found) -> float:
         size = np.abs(a).max(initial=0.0)
         found.append(float(np.abs(a - b).max(initial=0.0) / size) if size else 0.0)
     return max(found)
-
-
-def _doubt(name: str, error: float) -> str:
-    """Note about an estimated error."""
-    if np.isinf(error):
-        return f"{name}: derivatives are not finite, because figures are not"
-    return f"{name}: two perturbations differ by {error:.1%}, so that the derivative may not exist"
 
 
 def sizes_of(parameters: Mapping[str, float], scales: Mapping[str, float]) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import DifferentProblemWarning, ParameterError, call_together
 from dolfinmpm.kinematics.footing import motions_under_footings
@@ -18,7 +19,7 @@ from dolfinmpm.materials.umat import UMAT
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import Events, Marks, RunState, differences, has_mirror, mirror
-from dolfinmpm.study.scenerun import Scene, built
+from dolfinmpm.study.scenerun import Scene, built, figure
 from dolfinmpm.study.tape import Reader, Tape, follow
 
 __all__ = ["FollowedRun", "FollowingRuns"]
@@ -65,6 +66,23 @@ class FollowedRun:
         self.marks = Marks(self.problems)
         self.taken = 0
         self._steps = iter(run.steps)
+
+    def refuse_shared(self, other: FollowedRun, name: str) -> None:
+        """Raise ParameterError if another run steps the same points or rigid bodies.
+
+        Args:
+            other: A run at another value of a parameter.
+            name: The parameter.
+        """
+        for one, two in itertools.product(self.problems, other.problems):
+            bodies = [body.name for body in one.bodies.all if body in two.bodies.all]
+            if bodies or one.points is two.points:
+                what = f"the rigid body '{bodies[0]}'" if bodies else "the material points"
+                raise ParameterError(
+                    f"the scene returns the same object for {what} at two values of {name}, and "
+                    "each run would move those of the other: make grid, points, bodies and problem "
+                    "within the function scene"
+                )
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -117,7 +135,7 @@ class FollowedRun:
         given = {name: get() for name, get in self.run.measured.items()}
 
         def checked() -> dict[str, Array]:
-            return {name: coordinates(f"measured['{name}']", v) for name, v in given.items()}
+            return {name: figure(f"measured['{name}']", value) for name, value in given.items()}
 
         # a rank whose figure has failed does not come, which this barrier tells
         check_same_call(self.comm, "the figures of study.Run", names=list(given))

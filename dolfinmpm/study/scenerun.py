@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_function, check_kind, coordinates, shown
-from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.problem import Problem
 
-__all__ = ["Run", "Scene", "built", "last_number", "last_value", "take_steps"]
+__all__ = ["Run", "Scene", "built", "figure", "last_number", "last_value", "take_steps"]
 
+# Points of all runs that scenes have returned
+_RETURNED: WeakSet[MaterialPoints] = WeakSet()
 Scene = Callable[[dict[str, float]], "Run"]
 
 
@@ -76,6 +80,18 @@ class Run:
         return list(self.problem) if several else [self.problem]  # type: ignore[list-item]
 
 
+def _moved_before(points: MaterialPoints) -> ParameterError | None:
+    """An error for points that a scene has returned before, and that have moved since, or None."""
+    if points not in _RETURNED or not points["moved_under"].any():
+        return None
+    return ParameterError(
+        f"the scene has returned the same {points.total} material points before, and they have "
+        "moved since, so that this run would go on from the end of another one: make grid, points "
+        "and problem within the function scene; or, if it sets their state, as problem.load does, "
+        "say study.Run(..., given=True)"
+    )
+
+
 def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) -> Run:
     """The run that a scene makes of its arguments.
 
@@ -85,10 +101,14 @@ def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) 
         limit: Name of a figure that it must have.
 
     Raises:
-        ParameterError: The scene returns something else, such as None, or lacks the figure.
+        ParameterError: The scene returns something else, such as None, or lacks the figure; or its
+            points are those of an earlier run, and have moved.
     """
     run = scene(*arguments)
     check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
+    for problem in run.problems:
+        raise_together(problem.comm, None if run.given else _moved_before(problem.points))
+        _RETURNED.add(problem.points)
     if limit is not None and limit not in run.measured:
         raise ParameterError(
             f"limit = '{limit}' is no figure of the scene; its figures are "
@@ -104,6 +124,21 @@ def take_steps(run: Run) -> None:
             item()
 
 
+def figure(what: str, given: Any) -> npt.NDArray[np.float64]:
+    """A figure as numbers.
+
+    Args:
+        what: Its name in messages.
+        given: What its function has returned.
+
+    Raises:
+        ParameterError: It is None, which would become nan, or something else than numbers.
+    """
+    if given is None:
+        raise ParameterError(f"{what} = None must be numbers: let its function return the figure")
+    return coordinates(what, given)
+
+
 def last_number(name: str, given: Any, m: Mapping[str, float]) -> float:
     """A figure after the last step as a number.
 
@@ -115,7 +150,7 @@ def last_number(name: str, given: Any, m: Mapping[str, float]) -> float:
     Raises:
         ParameterError: It is not one number, or NaN, which is neither below zero nor above.
     """
-    values = coordinates(f"the figure '{name}'", given)
+    values = figure(f"the figure '{name}'", given)
     if values.size != 1:
         raise ParameterError(
             f"the figure '{name}' has the shape {values.shape} at {dict(m)}, and a limit is one "

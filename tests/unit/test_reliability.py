@@ -177,7 +177,8 @@ def test_a_gradient_lets_no_nan_through():
     [
         (planned(lambda m: np.ones(2)), r"'margin' has the shape \(2,\) at .*, and a limit is one"),
         (planned(lambda m: "safe"), r"'margin'.* = 'safe' must be numbers"),
-        (planned(lambda m: None), "'margin' is nan"),
+        (planned(lambda m: None), r"'margin'.* = None must be numbers"),
+        (planned(lambda m: np.nan), "'margin' is nan"),
         (lambda m: None, r"the result of scene = None must be a Run: return study\.Run"),
     ],
 )
