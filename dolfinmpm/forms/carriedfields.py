@@ -47,6 +47,8 @@ class CarriedField(PointField):
             the whole step's unknowns, whatever the level.
         bounds: Limits of the values, which must lie strictly between them, or None.
         gravity: Acceleration (m/s²) whose weight of this density is in the terms, or None.
+        slope_of: Name of the carried field whose gradient it is, or None. Where it is still zero,
+            the values of this field give it before the first step.
     """
 
     update: Expr
@@ -54,6 +56,7 @@ class CarriedField(PointField):
     level: float | None = 1.0
     bounds: tuple[float, float] | None = None
     gravity: Expr | None = None
+    slope_of: str | None = None
 
 
 class CellOffset(PointField):

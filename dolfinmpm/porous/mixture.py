@@ -98,7 +98,7 @@ def poromechanics(
     then gives the undrained analysis in effective stresses.
 
     The points carry the fields `pressure` (Pa) and `porosity`. `pressure` may be set before the
-    problem is made. With gravity, the field `density` (of the mixture, per initial volume) changes
+    first step, such as the pressure of water at rest; its gradient follows from it. With gravity, the field `density` (of the mixture, per initial volume) changes
     with the water that drains.
 
     Args:
@@ -284,6 +284,7 @@ def _projection(
     points, p, at = through.points, through.p, through.at
     first = np.zeros(points.gdim)
     slope = carried(points, "pressure_gradient", at.grad(p), unit="Pa/m", first=first)
+    slope.slope_of = "pressure"
     change, share = at.grad(p) - slope, theta
     if level is not None:
         slope.update = end.spatial(level.end(slope, ufl.grad(p)))

@@ -23,6 +23,7 @@ from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.activate import active_region
 from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling, movers
 from dolfinmpm.cut.celloffsets import cell_offsets
+from dolfinmpm.cut.firstgradients import set_first_gradient
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
@@ -98,7 +99,7 @@ class WeakForm:
         self.ufl_stresses: list[UFLStress] = []
         self.updates: Sequence[PointUpdates | UFLStress] = ()
         # none before the first step
-        self._revision = -1
+        self._revision = self._sloped = -1
         found = [m for g in grids for m in g.moduli]
         self.moduli = [m for m in found if not isinstance(m, FacetRing)]
         self._first_moduli()
@@ -140,6 +141,7 @@ class WeakForm:
             if isinstance(field, CellOffset):
                 (of,) = (f for f in here.fields if f.space is field.space)
                 self.points[field.name] = cell_offsets(here.where, of)
+        self._set_first_gradients(here)
         parts = here.regions
         if here.terms is not self:
             parts = [active_region(r, self.points, here) for r in self.regions]
@@ -148,6 +150,16 @@ class WeakForm:
         evaluation = Evaluation(self.regions, self.points, here.unknowns, parts)
         found = {term: term.on(here) for term in self.terms}
         return evaluation, {term: one for term, one in found.items() if one is not None}
+
+    def _set_first_gradients(self, here: Activation) -> None:
+        """Set gradients of values that the user gave to the points. Collective."""
+        slopes = [f for f in self.parts.carried if getattr(f, "slope_of", None)]
+        if not slopes or self._sloped == self.points.revision:
+            return
+        self._sloped = self.points.revision
+        for slope in slopes:
+            at = self.values.index(slope.slope_of)
+            set_first_gradient(self.points, slope, here.fields[at])
 
     def bind(self) -> None:
         """Set initial values of the laws at new points. Collective.
