@@ -41,6 +41,8 @@ def set_first_gradient(points: MaterialPoints, slope: CarriedField, field: Activ
         return
     new = _gradient(points, field, values)
     found[unset] = new[unset]
+    if slope.unknown is not None:
+        points[slope.unknown][unset] = 0.0
 
 
 def _gradient(points: MaterialPoints, field: ActiveField, values: Array) -> Array:

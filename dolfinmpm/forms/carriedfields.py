@@ -49,6 +49,7 @@ class CarriedField(PointField):
         gravity: Acceleration (m/s²) whose weight of this density is in the terms, or None.
         slope_of: Name of the carried field whose gradient it is, or None. Where it is still zero,
             the values of this field give it before the first step.
+        unknown: Name of a field that becomes 0 where `slope_of` gave the gradient, or None.
     """
 
     update: Expr
@@ -57,6 +58,7 @@ class CarriedField(PointField):
     bounds: tuple[float, float] | None = None
     gravity: Expr | None = None
     slope_of: str | None = None
+    unknown: str | None = None
 
 
 class CellOffset(PointField):
