@@ -109,8 +109,9 @@ def poromechanics(
             `Space.increment` of its space. p is the pressure itself, and no increment.
         tests: Test functions (v, q) of the two spaces.
         permeability: Hydraulic conductivity k (m/s): a number; a symmetric tensor, shape (gdim,
-            gdim); a UFL expression; or a function of J and n that returns one of these, such as
-            `kozeny_carman`.
+            gdim); a UFL expression, also of p; or a function of J and n that returns one of these,
+            such as `kozeny_carman`. Soil under suction conducts as saturated soil does, unless the
+            expression falls with suction.
         porosity: Porosity n0 at J = 1: a number in (0, 1), or a UFL expression such as a field of
             the points.
         fluid: The fluid, water by default.
