@@ -33,11 +33,18 @@ def set_first_gradient(points: MaterialPoints, slope: CarriedField, field: Activ
         field: The field of the grid.
     """
     assert slope.slope_of is not None
+    if slope.revision == points.revision:
+        return
     values, found = points[slope.slope_of], points[slope.name]
-    unset = ~found.any(axis=1)
-    given = np.array([(values != 0.0).any(), unset.any()])
-    points.comm.Allreduce(MPI.IN_PLACE, given, op=MPI.LOR)
-    if not given.all():
+    known = found.any(axis=1)
+    unset = ~known
+    flags = np.array([(values != 0.0).any(), unset.any(), known.any()])
+    points.comm.Allreduce(MPI.IN_PLACE, flags, op=MPI.LOR)
+    given, missing, stepped = flags
+    # values may still be given until a gradient is known
+    if stepped or (given and missing):
+        slope.revision = points.revision
+    if not (given and missing):
         return
     new = _gradient(points, field, values)
     found[unset] = new[unset]
@@ -57,9 +64,12 @@ def _gradient(points: MaterialPoints, field: ActiveField, values: Array) -> Arra
     sums = Nodal([nodes], [about.shape[1]])
     for k, column in enumerate(about.T):
         sums.arrays[0][:, k] = np.bincount(a, column, nodes.size)
-    sums.add_up(), sums.spread()
+    sums.add_up()
+    sums.spread()
     shifted = share * _shifted(sums.arrays[0][a], -away)
-    found = np.stack([np.bincount(p, column, len(points)) for column in shifted.T], axis=1)
+    found = np.zeros((len(points), shifted.shape[1]))
+    for k, column in enumerate(shifted.T):
+        found[:, k] = np.bincount(p, column, len(points))
     weight, first, value, product, second = _split(found, d)
     first = first / weight
     spread = second - weight[:, :, None] * first[:, :, None] * first[:, None]

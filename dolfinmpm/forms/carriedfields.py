@@ -50,6 +50,7 @@ class CarriedField(PointField):
         slope_of: Name of the carried field whose gradient it is, or None. Where it is still zero,
             the values of this field give it before the first step.
         unknown: Name of a field that becomes 0 where `slope_of` gave the gradient, or None.
+        revision: Revision of the points when zero gradients were last looked for.
     """
 
     update: Expr
@@ -59,6 +60,7 @@ class CarriedField(PointField):
     gravity: Expr | None = None
     slope_of: str | None = None
     unknown: str | None = None
+    revision: int = -1
 
 
 class CellOffset(PointField):

@@ -122,9 +122,7 @@ def _state(formulation: StrainFormulation, sigma: Array, rows: Rows) -> Array:
     return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
 
-def _beyond_strength(
-    formulation: StrainFormulation, sigma: Array, rows: Rows
-) -> StateError | None:
+def _beyond_strength(formulation: StrainFormulation, sigma: Array, rows: Rows) -> StateError | None:
     """The error for stresses beyond the strength of an incremental law, or None.
 
     Such a law keeps no elastic strain whose inversion would find it out.

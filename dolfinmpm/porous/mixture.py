@@ -98,7 +98,8 @@ def poromechanics(
     then gives the undrained analysis in effective stresses.
 
     The points carry the fields `pressure` (Pa) and `porosity`. `pressure` may be set before the
-    first step, such as the pressure of water at rest; its gradient follows from it. With gravity, the field `density` (of the mixture, per initial volume) changes
+    first step, such as the pressure of water at rest; its gradient follows from it. With gravity,
+    the field `density` (of the mixture, per initial volume) changes
     with the water that drains.
 
     Args:
@@ -214,7 +215,9 @@ def poromechanics(
     flow = at.J * through.rate
     terms = -at.J * acts * ufl.tr(at.grad(v)) + storage * q
     terms += theta * points.dt * ufl.dot(flow, at.grad(q))
-    slope = carried(points, "pressure_gradient", at.grad(p), unit="Pa/m", first=np.zeros(points.gdim))
+    slope = carried(
+        points, "pressure_gradient", at.grad(p), unit="Pa/m", first=np.zeros(points.gdim)
+    )
     slope.slope_of = "pressure"
     if theta < 1:
         terms += (1 - theta) * points.dt * _flow_before(points, flow, at, q, slope)

@@ -23,8 +23,8 @@ from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.activate import active_region
 from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling, movers
 from dolfinmpm.cut.celloffsets import cell_offsets
-from dolfinmpm.cut.firstgradients import set_first_gradient
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
+from dolfinmpm.cut.firstgradients import set_first_gradient
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
@@ -99,7 +99,7 @@ class WeakForm:
         self.ufl_stresses: list[UFLStress] = []
         self.updates: Sequence[PointUpdates | UFLStress] = ()
         # none before the first step
-        self._revision = self._sloped = -1
+        self._revision = -1
         found = [m for g in grids for m in g.moduli]
         self.moduli = [m for m in found if not isinstance(m, FacetRing)]
         self._first_moduli()
@@ -153,13 +153,10 @@ class WeakForm:
 
     def _set_first_gradients(self, here: Activation) -> None:
         """Set gradients of values that the user gave to the points. Collective."""
-        slopes = [f for f in self.parts.carried if getattr(f, "slope_of", None)]
-        if not slopes or self._sloped == self.points.revision:
-            return
-        self._sloped = self.points.revision
-        for slope in slopes:
-            at = self.values.index(slope.slope_of)
-            set_first_gradient(self.points, slope, here.fields[at])
+        for slope in self.parts.carried:
+            if isinstance(slope, CarriedField) and slope.slope_of is not None:
+                at = self.values.index(slope.slope_of)
+                set_first_gradient(self.points, slope, here.fields[at])
 
     def bind(self) -> None:
         """Set initial values of the laws at new points. Collective.
