@@ -48,6 +48,10 @@ class CarriedField(PointField):
         bounds: Limits of the values, which must lie strictly between them, or None.
         gravity: Acceleration (m/s²) whose weight of this density is in the terms, or None.
         surface: Surface at whose faces the unknowns in the expression are taken, or None.
+        slope_of: Name of the carried field whose gradient it is, or None. Where it is still zero,
+            the values of this field give it before the first step.
+        unknown: Name of a field that becomes 0 where `slope_of` gave the gradient, or None.
+        revision: Revision of the points when zero gradients were last looked for.
     """
 
     update: Expr
@@ -56,6 +60,9 @@ class CarriedField(PointField):
     bounds: tuple[float, float] | None = None
     gravity: Expr | None = None
     surface: Any = None
+    slope_of: str | None = None
+    unknown: str | None = None
+    revision: int = -1
 
 
 class CellOffset(PointField):

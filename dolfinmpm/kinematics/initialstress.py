@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,8 @@ _ROUNDING = 1e-12
 # Relative difference between a stress that was set and the law's stress, above which the stress
 # was set for another law
 _ANOTHER = 1e-6
+# Distance beyond the yield surface, by the largest stress, that is rounding
+_ROUND_OFF = 1e-9
 # No ground has a larger K0: a larger number is a weight in the wrong place
 _MOST_K0 = 100.0
 
@@ -119,6 +122,25 @@ def _state(formulation: StrainFormulation, sigma: Array, rows: Rows) -> Array:
     return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
 
+def _beyond_strength(formulation: StrainFormulation, sigma: Array, rows: Rows) -> StateError | None:
+    """The error for stresses beyond the strength of an incremental law, or None.
+
+    Such a law keeps no elastic strain whose inversion would find it out.
+    """
+    law: Any = formulation.law
+    f = law.beyond_strength(sigma)
+    bad = f > _ROUND_OFF * np.abs(sigma).max(axis=(1, 2), initial=0.0)
+    if not bad.any():
+        return None
+    p = int(np.argmax(bad))
+    return StateError(
+        f"{law!r}: the stress {sigma[p].tolist()} Pa of point "
+        f"{formulation.points['id'][rows[p]]} at {formulation.points['x'][rows[p]]} m lies outside "
+        f"the yield surface (f = {f[p]:.6g} > 0) ({int(bad.sum())} such points on this rank). Give "
+        "a stress within the law's strength, such as by a larger K0, or other parameters"
+    )
+
+
 def _derive(formulation: StrainFormulation, rows: Rows) -> None:
     """Set the internal variables that follow from the elastic state."""
     names = formulation.law.derived
@@ -141,7 +163,9 @@ def write_stress(
     """
     points, rows = formulation.points, formulation.rows if rows is None else rows
     sigma = call_together(points.comm, lambda: _given(formulation, stress, rows))
-    if not formulation.from_stress:
+    if formulation.from_stress:
+        raise_together(points.comm, _beyond_strength(formulation, sigma, rows))
+    else:
         state = call_together(points.comm, lambda: _state(formulation, sigma, rows))
         points[formulation.state][rows] = state
         _derive(formulation, rows)
@@ -163,12 +187,15 @@ def take_stress(formulation: StrainFormulation, law: str) -> None:
     Raises:
         ParameterError: The stress was set for another law; or a stress is not finite, not
             symmetric, or has shear out of the dimensions of the points.
-        StateError: The law has no elastic strain for the stress.
+        StateError: The law has no elastic strain for the stress, or not its strength.
     """
-    if formulation.from_stress:
-        return
     points, rows = formulation.points, formulation.rows
     marks = points.fields.read("moved_under")[rows]
+    if formulation.from_stress:
+        still = rows[marks == 0]
+        sigma = points.fields.read("stress")[still]
+        raise_together(points.comm, _beyond_strength(formulation, sigma, still))
+        return
     still, given = rows[marks == 0], rows[marks >= GIVEN]
     stress = points.fields.read("stress")
     # shortcut for the usual case without stress

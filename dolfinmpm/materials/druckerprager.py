@@ -112,7 +112,8 @@ class DruckerPrager(Law):
     The cone touches Mohr–Coulomb's pyramid as in de Souza Neto, Perić & Owen (2008),
     Computational Methods for Plasticity, §6.4.4:
 
-    - "compression": at the outer edges, exact in triaxial compression;
+    - "compression": at the outer edges, exact in triaxial compression, and much too strong in plane
+      strain: 3.1 times Mohr–Coulomb's deviator in biaxial compression for φ = ψ = 30°;
       η = 6 sin φ/(√3 (3 − sin φ)), ξ = 6 cos φ/(√3 (3 − sin φ));
     - "extension": at the inner edges, exact in triaxial extension; with 3 + sin φ;
     - "plane strain": the same limit loads in plane strain under associated flow;

@@ -34,7 +34,8 @@ class HardinDrnevich(UMAT):
       1926). A step whose increment points back to e_r is a reversal. A loop that comes back to its
       reversal is closed, and the branch that it has interrupted goes on;
     - Drucker and Prager's cone without dilatancy, fitted to Mohr and Coulomb's strength in plane
-      strain. Strain beyond the cone is plastic: it does not count in e and e_r;
+      strain. Strain beyond the cone is plastic: it does not count in e and e_r. A first stress
+      beyond the cone is refused; in sand that of K0 = 1 − sin φ is so for φ above 35.9°;
     - bulk modulus K = 2 G₀ (1 + ν)/(3 (1 − 2ν)). G₀ = G_ref ((p + c cot φ)/(p_ref + c cot φ))^m
       with the pressure p at the start of the step, and at least 1 % of p_ref.
 
@@ -159,6 +160,13 @@ class HardinDrnevich(UMAT):
     def library(self) -> str:
         """The kernel is no library."""
         return ""
+
+    def beyond_strength(self, stress: Array) -> Array:
+        """f = √J₂ + η p − ξ c of the cone (Pa), shape (n,); see `UMAT.beyond_strength`."""
+        strength, slope = self.properties[-2:]
+        p = np.trace(stress, axis1=1, axis2=2) / 3.0
+        deviator = stress - p[:, None, None] * np.eye(3)
+        return np.sqrt(0.5 * np.sum(deviator**2, axis=(1, 2))) + slope * p - strength
 
     def try_once(self, row: Array, components: int) -> None:
         """Nothing: the kernel is the package's own; see `UMAT.try_once`."""

@@ -192,6 +192,14 @@ class UMAT(Parametrised):
         call_at_points(self.address, self.properties, numbers, self.name, work, status)
         return status
 
+    def beyond_strength(self, stress: Array) -> Array:
+        """Yield function of Cauchy stresses (Pa), shape (n,); −inf, as a source does not tell it.
+
+        Args:
+            stress: Cauchy stress (Pa), shape (n, 3, 3).
+        """
+        return np.full(len(stress), -np.inf)
+
     def try_once(self, row: Array, components: int) -> None:
         """Call the UMAT once in a process of its own. Not collective.
 

@@ -98,7 +98,8 @@ def poromechanics(
     then gives the undrained analysis in effective stresses.
 
     The points carry the fields `pressure` (Pa) and `porosity`. `pressure` may be set before the
-    problem is made. With gravity, the field `density` (of the mixture, per initial volume) changes
+    first step, such as the pressure of water at rest; its gradient follows from it. With gravity,
+    the field `density` (of the mixture, per initial volume) changes
     with the water that drains.
 
     Args:
@@ -109,8 +110,9 @@ def poromechanics(
             `Space.increment` of its space. p is the pressure itself, and no increment.
         tests: Test functions (v, q) of the two spaces.
         permeability: Hydraulic conductivity k (m/s): a number; a symmetric tensor, shape (gdim,
-            gdim); a UFL expression; or a function of J and n that returns one of these, such as
-            `kozeny_carman`.
+            gdim); a UFL expression, also of p; or a function of J and n that returns one of these,
+            such as `kozeny_carman`. Soil under suction conducts as saturated soil does, unless the
+            expression falls with suction.
         porosity: Porosity n0 at J = 1: a number in (0, 1), or a UFL expression such as a field of
             the points.
         fluid: The fluid, water by default.
@@ -213,10 +215,13 @@ def poromechanics(
     flow = at.J * through.rate
     terms = -at.J * acts * ufl.tr(at.grad(v)) + storage * q
     terms += theta * points.dt * ufl.dot(flow, at.grad(q))
+    slope = carried(
+        points, "pressure_gradient", at.grad(p), unit="Pa/m", first=np.zeros(points.gdim)
+    )
+    slope.slope_of = "pressure"
     if theta < 1:
-        # flow at the start of the step, whose gradients are those of the grid
-        before = carried(points, "flow", flow, unit="Pa m/s", first=np.zeros(points.gdim))
-        terms += (1 - theta) * points.dt * ufl.dot(before, ufl.grad(q))
+        terms += (1 - theta) * points.dt * _flow_before(points, flow, at, q, slope)
+        keeps.append(slope)
     if b is not None:
         refuse_hollow(points, fluid, n0, as_tags(tag))
         terms -= (points.density + at.growth * water) * ufl.dot(b, v)
@@ -224,7 +229,7 @@ def poromechanics(
         heavy.gravity = b
         keeps.append(heavy)
     if factor := factor_of(projection, u, p):
-        terms += _projection(through, factor, theta, level, end, keeps)
+        terms += _projection(through, factor, theta, level, end, keeps, slope)
     keeps.append(pressure)
     if level is not None:
         for field in keeps:
@@ -272,6 +277,27 @@ def _surface_terms(
         yield surface.pressure(weight * depth, through.u, v)
 
 
+def _flow_before(
+    points: MaterialPoints, flow: Expr, at: Kinematics, q: Expr, slope: CarriedField
+) -> Expr:
+    """Flow at the start of a step, times the gradient of a test function at the start.
+
+    Where pressures were given and no step has computed their flow, the flow at the end of the step
+    takes its place: a single implicit step, which does not lower the order.
+
+    Args:
+        points: Material points.
+        flow: Flow at the end of the step (Pa m/s).
+        at: Volume changes and gradients at the end of the step.
+        q: Test function.
+        slope: The carried gradient of the pressure.
+    """
+    before = carried(points, "flow", flow, unit="Pa m/s", first=np.zeros(points.gdim))
+    known = carried(points, "flow_known", own_constant(points.grid, 1.0), first=1.0)
+    slope.unknown = known.name
+    return known * ufl.dot(before, ufl.grad(q)) + (1 - known) * ufl.dot(flow, at.grad(q))
+
+
 def _projection(
     through: Flow,
     factor: float,
@@ -279,11 +305,10 @@ def _projection(
     level: Level | None,
     end: Kinematics,
     keeps: list[CarriedField],
+    slope: CarriedField,
 ) -> Expr:
     """Polynomial pressure projection; see `projected`. Fields that it carries join `keeps`."""
     points, p, at = through.points, through.p, through.at
-    first = np.zeros(points.gdim)
-    slope = carried(points, "pressure_gradient", at.grad(p), unit="Pa/m", first=first)
     change, share = at.grad(p) - slope, theta
     if level is not None:
         slope.update = end.spatial(level.end(slope, ufl.grad(p)))

@@ -213,9 +213,11 @@ def _carried(fields: Iterable[Any]) -> list[tuple[str, Any]]:
             continue
         # the expression of a field often contains the field itself
         seen.add(id(field))
-        parts += [
-            (f"{n} of what '{field.name}' carries", what) for n, what in plain_value(field.update)
-        ]
+        found = plain_value(field.update)
+        # a constant or a function of the grid alone is a value, and no list of parts
+        alone = isinstance(field.update, fem.Constant) or not isinstance(found, tuple)
+        pairs = [("value", found)] if alone else found
+        parts += [(f"{n} of what '{field.name}' carries", what) for n, what in pairs]
         if isinstance(field.update, Expr):
             left += extract_coefficients(field.update)
     return parts

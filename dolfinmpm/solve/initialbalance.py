@@ -38,7 +38,7 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
     The function takes ordinary steps. After each step the points go back to their first positions,
     undeformed, and keep the new stress. The new out-of-balance force is of the order of the
     square of the old one, so that two or three steps are enough. A level deposit with stresses
-    that match its weight needs no step.
+    that match its weight needs no step, except with splines; see `start_at_rest`.
 
     The force of a ghost penalty, or of weak aggregation, acts on increments and is not kept.
     Here it only helps to solve the equations, and is not part of the balance. At the edge of

@@ -24,6 +24,7 @@ from dolfinmpm.cut.activate import active_region
 from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling, movers
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
+from dolfinmpm.cut.firstgradients import set_first_gradient
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
@@ -148,6 +149,7 @@ class WeakForm:
             if isinstance(field, CellOffset):
                 (of,) = (f for f in here.fields if f.space is field.space)
                 self.points[field.name] = cell_offsets(here.where, of)
+        self._set_first_gradients(here)
         parts = here.regions
         if here.terms is not self:
             parts = [active_region(r, self.points, here) for r in self.regions]
@@ -156,6 +158,13 @@ class WeakForm:
         evaluation = Evaluation(self.regions, self.points, here.unknowns, parts)
         found = {term: term.on(here) for term in self.terms}
         return evaluation, {term: one for term, one in found.items() if one is not None}
+
+    def _set_first_gradients(self, here: Activation) -> None:
+        """Set gradients of values that the user gave to the points. Collective."""
+        for slope in self.parts.carried:
+            if isinstance(slope, CarriedField) and slope.slope_of is not None:
+                at = self.values.index(slope.slope_of)
+                set_first_gradient(self.points, slope, here.fields[at])
 
     def bind(self) -> None:
         """Set initial values of the laws at new points. Collective.

@@ -75,7 +75,8 @@ def element_test(
     Returns:
         A history with `strain_xx` ... `strain_xz`, `stress_xx` ... `stress_xz`, `volume_strain`,
         `p` (mean stress, positive in compression), `q` (√3 J₂), `pore_pressure` (Pa, at constant
-        volume with the first total stress along x), and the law's internal variables.
+        volume with the first total stress along x, or along y in simple shear), and the law's
+        internal variables.
 
     Raises:
         ParameterError: An argument is out of range.
@@ -97,15 +98,17 @@ def element_test(
     if point.kind != "small":
         check_logarithmic(legs)
     history = History(MPI.COMM_WORLD)
-    start = point.stress[0]
-    _record(history, point, start)
+    # the side whose total stress a test of this kind keeps
+    side = 1 if isinstance(path, str) and path.endswith("simple shear") else 0
+    start = point.stress[side]
+    _record(history, point, side, start)
     for one in legs:
         begin = _present(one, point)
         end = np.where(np.isnan(one.targets), begin, one.targets)
         for k in range(one.steps):
             values = begin + (end - begin) * np.array([k, k + 1])[:, None] / one.steps
             _go(one, point, *values)
-            _record(history, point, start)
+            _record(history, point, side, start)
     return history
 
 
@@ -202,7 +205,7 @@ def _strained(leg: Leg, point: ElementPoint, G: Array) -> Array:
     return np.asarray(leg.weights @ (point.strain + G), np.float64)
 
 
-def _record(history: History, point: ElementPoint, first: float) -> None:
+def _record(history: History, point: ElementPoint, side: int, first: float) -> None:
     sigma = matrix(point.stress)
     sigma = sigma + np.triu(sigma, 1).T
     mean = np.trace(sigma) / 3
@@ -211,5 +214,5 @@ def _record(history: History, point: ElementPoint, first: float) -> None:
     row |= {f"stress_{name}": value for name, value in zip(COMPONENTS, point.stress)}
     row["volume_strain"] = point.strain[:3].sum()
     row["p"], row["q"] = -mean, np.sqrt(1.5 * np.sum(deviator**2))
-    row["pore_pressure"] = point.stress[0] - first
+    row["pore_pressure"] = point.stress[side] - first
     history.record(**{name: float(value) for name, value in (row | point.variables()).items()})

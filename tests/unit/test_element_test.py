@@ -35,6 +35,18 @@ def test_elastic_paths(strain):
     np.testing.assert_allclose(four["stress_xy"], E / (2 + 2 * NU) * four["strain_xy"])
 
 
+def test_pore_pressure_of_simple_shear_keeps_the_total_stress_across_it():
+    """From K0 = 0.5 it had been that of a constant total stress along x: a suction."""
+    clay = mpm.materials.CamClay(**CLAY)
+    first = [-0.5 * P, -P, -0.5 * P]
+    shear = element_test(clay, "undrained simple shear", 0.3, stress=first)
+    assert shear["pore_pressure"] == pytest.approx(P + shear["stress_yy"])
+    assert shear["pore_pressure"][-1] > 0.2 * P
+    assert shear["stress_xx"][-1] < -0.6 * P
+    drained = element_test(clay, "simple shear", 0.1, stress=first)
+    assert np.abs(drained["pore_pressure"]).max() < 1e-3
+
+
 def test_neo_hookean_under_simple_shear_and_tension():
     law = mpm.materials.NeoHookean(E, NU)
     mu = E / (2 + 2 * NU)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from scipy.stats import special_ortho_group
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.materials import HardinDrnevich
 from dolfinmpm.materials.umatcall import DDSDDE, STATEV, STRESS
 from dolfinmpm.materials.umatshim import OFFSETS
@@ -190,6 +190,32 @@ def test_the_cone_bounds_the_stress_and_unloading_is_stiff():
     assert unloading == pytest.approx(G, rel=1e-3)
     pulled = element_test(law, "isotropic", 1e-2, strain="small", pressure=P)
     assert -pulled["p"][-1] == pytest.approx(c / math.tan(math.radians(phi)))
+
+
+def test_a_first_stress_beyond_the_cone_is_refused():
+    """Sand of φ = 38° with K0 = 1 − sin φ: the first step had cut the deviator, in silence."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(3), range(3)])
+    for phi, inside in ((35.0, True), (38.0, False)):
+        law = soil(cohesion=0.0, friction_angle=phi)
+        K0 = 1 - math.sin(math.radians(phi))
+        points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1800.0)
+        first = mpm.geostatic_stress(surface=2.0, weight=18e3, K0=K0)
+        given = np.array([-K0, -1.0, -K0]) * 1e5
+        if inside:
+            mpm.set_stress(law, points, first, strain="small")
+            test = element_test(law, "oedometer", -1e-9, stress=given, steps=1)
+            assert test["stress_xx"][-1] == pytest.approx(given[0], rel=1e-5)
+            continue
+        with pytest.raises(StateError, match=r"outside the yield surface \(f = .*larger K0"):
+            mpm.set_stress(law, points, first, strain="small")
+        assert not points["stress"].any()
+        with pytest.raises(StateError, match="outside the yield surface"):
+            element_test(law, "oedometer", -1e-9, stress=given)
+        points["stress"] = first(points["x"].T)
+        V = mpm.Space(grid, "gimp")
+        F = mpm.momentum(law, points, V.increment, V.test, strain="small")
+        with pytest.raises(StateError, match="outside the yield surface"):
+            mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
 
 
 def test_stiffness_follows_pressure():

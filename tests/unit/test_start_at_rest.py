@@ -118,3 +118,23 @@ def test_the_weights_must_have_one_unit(weight):
     problem = mpm.QuasiStatic(F, V.increment, points, problem.bcs)
     with pytest.raises(ParameterError, match=r"-35316 Pa, .* unit weights in N/m³"):
         mpm.start_at_rest(problem, mpm.Deposit(flat, mpm.Layer(0.0, weight, K0=0.5)))
+
+
+@pytest.mark.parametrize(("per_cell", "bound"), [(2, 0.06), (4, 0.017)])
+def test_splines_change_the_stress_of_level_ground_by_what_the_sums_miss(per_cell, bound):
+    """Sums over points are not exact at base and surface; the error falls with their number."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 2, 5), np.linspace(0, 5, 11)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 4)), per_cell, density=1800.0)
+    V = mpm.Space(grid, "bspline2")
+    soil = mpm.materials.CamClay(
+        swelling=0.01, compression=0.1, M=1.2, mu0=2e6, alpha=0.0, reference_pressure=1e3,
+        preconsolidation=100e3,
+    )  # fmt: skip
+    F = mpm.momentum(soil, points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -G)), V.test) * points.dX
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+    mpm.start_at_rest(problem, mpm.Deposit(4.0, mpm.Layer(0.0, 1800 * G, K0=0.6)))
+    off = points["stress"][:, 1, 1] + 1800 * G * (4.0 - points["x"][:, 1])
+    assert np.abs(off).max() < bound * 1800 * G * 0.5
+    assert abs(off.mean()) < 1e-9 * 1800 * G

@@ -117,6 +117,7 @@ CASES = {
         explicit.explicit_restart,
         explicit.explicit_boundaries,
         porous.consolidation,
+        porous.first_pressures,
         porous.nested,
         porous.nested_bases,
         porous.nested_restart,

@@ -124,3 +124,32 @@ def waves():
         "carried": [COMM.allreduce(float(weight @ points[name])) for name in names],
         **sums(points, "x", "velocity", "stress", "gradient_rate", "start_acceleration"),
     }
+
+
+def first_pressures():
+    """Water with a table within a body: the gradient before the first step follows from it."""
+    figures = {}
+    squares, triangles = mesh.CellType.quadrilateral, mesh.CellType.triangle
+    for basis, cell in (("gimp", squares), ("bspline2", squares), ("linear", triangles)):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (11, 7), cell)
+        points = mpm.fill(grid, mpm.Box((0, 0), (2.5, 1.7)), 2, 2000.0)
+        V, Q = mpm.Space(grid, basis), mpm.Space(grid, "linear", shape=())
+        points.add_field("pressure", (), "Pa")
+        x = points["x"]
+        points["pressure"] = 9810.0 * np.maximum(1.2 + 0.1 * x[:, 0] - x[:, 1], 0.0)
+        F = mpm.poromechanics(
+            mpm.materials.Hencky(E=1e5, nu=0.3), points, (V.increment, Q.increment),
+            (V.test, Q.test), permeability=1e-3, porosity=0.4, gravity=(0.0, -9.81), theta=0.5,
+        )  # fmt: skip
+        bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
+        problem = mpm.Transient(
+            F, [V.increment, Q.increment], points, bcs, stabilisation=["ghost", "ghost"]
+        )
+        problem.operator()
+        low = points["x"][:, 1] < 0.5
+        slope = points["pressure_gradient"][low] - [981.0, -9810.0]
+        worst = float(np.abs(slope).max(initial=0.0))
+        assert worst < 1e-7, worst
+        assert not points["flow_known"][low].any()
+        figures[basis] = sums(points, "pressure_gradient")
+    return figures
