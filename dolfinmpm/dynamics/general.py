@@ -55,6 +55,8 @@ class GeneralSteps(ExplicitBase):
     """Explicit steps of a problem of any form, one after the other."""
 
     _stiffness: Stiffness | None = None
+    # of the last step: dashpots of sides, and the velocities that they resist
+    _at_sides: tuple[SideDashpots, Array] | None = None
 
     @cached_property
     def _resisting(self) -> dict[str, Array]:
@@ -148,7 +150,7 @@ class GeneralSteps(ExplicitBase):
         self._work.add_stresses(points, state.fields, operator)
         if step.begins:
             self._work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
-        self._add_losses(mass, V, V_end, dt)
+        self._add_losses(mass, (V, V_end, V_move), step)
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         boundary_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
@@ -378,21 +380,28 @@ class GeneralSteps(ExplicitBase):
         else:
             # as in the fused loop
             damped = at_side = sides.by_nodes(V_end)
-        came, lost = sides.works(at_side)
-        self._work.external += came
-        self._work.losses["damping"] += lost
+        self._at_sides = sides, at_side
         return damped
 
-    def _add_losses(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
+    def _add_losses(
+        self, mass: Mass, motion: tuple[Array, Array, Array], step: ExplicitStep
+    ) -> None:
         """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
 
         Collective. Kinetic energy of a ghost mass exists only within a step. It is no loss, because
-        points get the work of all forces.
+        points get the work of all forces. A motion is as in `work_at_nodes`.
         """
+        V, V_end, V_move = motion
         found = [sum(mass.kinetic(v)) for v in (V, V_end)]
         self._work.grid += found[1] - found[0]
-        owned = mass.nodes.owned
+        # an impulse changes the energy by the mean of the strains' velocities before and after it
+        owned, mean = mass.nodes.owned, 0.5 * (V + V_move)
         for name, force in self._resisting.items():
-            done = 0.5 * dt * float(np.sum(force[:owned] * (V + V_end)[:owned]))
+            done = step.kick * float(np.sum((force * mean)[:owned]))
             self._work.losses[name] += mass.comm.allreduce(done, op=MPI.SUM)
         self._resisting.clear()
+        if self._at_sides is not None:
+            sides, at_side = self._at_sides
+            came, lost = sides.works(at_side, mean)
+            self._work.external += came
+            self._work.losses["damping"] += lost
