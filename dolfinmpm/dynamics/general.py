@@ -37,6 +37,7 @@ from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import BulkViscosity
 from dolfinmpm.dynamics.stepwork import (
+    add_losses,
     energy_of_start,
     work_at_nodes,
     work_of_friction,
@@ -145,12 +146,14 @@ class GeneralSteps(ExplicitBase):
         if isinstance(state, str):
             return state
         self._watch(operator, True)
-        self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), step)
+        motion = V, V_end, V_move
+        self._work.external += work_at_nodes(operator, mass, forces, motion, step)
         self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, step.kick)
         self._work.add_stresses(points, state.fields, operator)
         if step.begins:
             self._work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
-        self._add_losses(mass, (V, V_end, V_move), step)
+        add_losses(self._work, mass, motion, self._resisting, self._at_sides, step.kick)
+        self._resisting.clear()
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         boundary_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
@@ -382,26 +385,3 @@ class GeneralSteps(ExplicitBase):
             damped = at_side = sides.by_nodes(V_end)
         self._at_sides = sides, at_side
         return damped
-
-    def _add_losses(
-        self, mass: Mass, motion: tuple[Array, Array, Array], step: ExplicitStep
-    ) -> None:
-        """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
-
-        Collective. Kinetic energy of a ghost mass exists only within a step. It is no loss, because
-        points get the work of all forces. A motion is as in `work_at_nodes`.
-        """
-        V, V_end, V_move = motion
-        found = [sum(mass.kinetic(v)) for v in (V, V_end)]
-        self._work.grid += found[1] - found[0]
-        # an impulse changes the energy by the mean of the strains' velocities before and after it
-        owned, mean = mass.nodes.owned, 0.5 * (V + V_move)
-        for name, force in self._resisting.items():
-            done = step.kick * float(np.sum((force * mean)[:owned]))
-            self._work.losses[name] += mass.comm.allreduce(done, op=MPI.SUM)
-        self._resisting.clear()
-        if self._at_sides is not None:
-            sides, at_side = self._at_sides
-            came, lost = sides.works(at_side, mean)
-            self._work.external += came
-            self._work.losses["damping"] += lost
