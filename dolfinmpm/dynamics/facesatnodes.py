@@ -297,7 +297,7 @@ class Faces:
 
     def by_nodes(
         self, place: npt.NDArray[np.intp], size: int
-    ) -> tuple[npt.NDArray[np.uint64], Array, Array, Array]:
+    ) -> tuple[npt.NDArray[np.uint64], Array, Array, Array, Array]:
         """The faces for compiled loops over nodes in another order.
 
         Args:
@@ -308,7 +308,8 @@ class Faces:
             Frictional faces at each node, as bits, shape (size,), or (0,) without such faces.
             Axis, outward sign and friction of each face, shape (faces, 3). Coefficients of the
             dashpots (N s/m), shape (size, d), or (0, d) without dashpots. Room for the momentum
-            that frictional faces take in a step (kg m/s), likewise.
+            that frictional faces take in a step (kg m/s), likewise. Room for half of the momentum
+            that damping and dashpots take (kg m/s), shape (size, d).
         """
         marks = np.zeros(size if self._frictional else 0, np.uint64)
         friction = np.array([one[1:] for one in self._frictional]).reshape(-1, 3)
@@ -318,7 +319,8 @@ class Faces:
         dashpots = np.zeros((0 if self.dashpots is None else size, self._d))
         if self.dashpots is not None:
             dashpots[place[place >= 0]] = self.dashpots[place >= 0]
-        return marks, friction, dashpots, np.zeros((marks.size, self._d))
+        taken, resisted = (np.zeros((n, self._d)) for n in (marks.size, size))
+        return marks, friction, dashpots, taken, resisted
 
     def apply_friction(self, V: Array, kinks: Kinks | None = None) -> None:
         """Stop nodes that would move out, and apply friction to sliding nodes.

@@ -331,7 +331,7 @@ class FusedSteps:
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
         weight = (
             window.sides, window.own, self._loads.gravity, dt, kick, settings.mass_scaling,
-            self.done,
+            settings.damping, self.done,
         )  # fmt: skip
         rigid = self._rigid
         if rigid is not None:

@@ -37,6 +37,7 @@ from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.dynamics.smallmass import BulkViscosity
 from dolfinmpm.dynamics.stepwork import (
+    add_losses,
     energy_of_start,
     work_at_nodes,
     work_of_friction,
@@ -55,6 +56,8 @@ class GeneralSteps(ExplicitBase):
     """Explicit steps of a problem of any form, one after the other."""
 
     _stiffness: Stiffness | None = None
+    # of the last step: dashpots of sides, and the velocities that they resist
+    _at_sides: tuple[SideDashpots, Array] | None = None
 
     @cached_property
     def _resisting(self) -> dict[str, Array]:
@@ -143,12 +146,14 @@ class GeneralSteps(ExplicitBase):
         if isinstance(state, str):
             return state
         self._watch(operator, True)
-        self._work.external += work_at_nodes(operator, mass, forces, (V, V_end, V_move), step)
+        motion = V, V_end, V_move
+        self._work.external += work_at_nodes(operator, mass, forces, motion, step)
         self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, step.kick)
         self._work.add_stresses(points, state.fields, operator)
         if step.begins:
             self._work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
-        self._add_losses(mass, V, V_end, dt)
+        add_losses(self._work, mass, motion, self._resisting, self._at_sides, step.kick)
+        self._resisting.clear()
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         boundary_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
@@ -378,21 +383,5 @@ class GeneralSteps(ExplicitBase):
         else:
             # as in the fused loop
             damped = at_side = sides.by_nodes(V_end)
-        came, lost = sides.works(at_side)
-        self._work.external += came
-        self._work.losses["damping"] += lost
+        self._at_sides = sides, at_side
         return damped
-
-    def _add_losses(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
-        """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
-
-        Collective. Kinetic energy of a ghost mass exists only within a step. It is no loss, because
-        points get the work of all forces.
-        """
-        found = [sum(mass.kinetic(v)) for v in (V, V_end)]
-        self._work.grid += found[1] - found[0]
-        owned = mass.nodes.owned
-        for name, force in self._resisting.items():
-            done = 0.5 * dt * float(np.sum(force[:owned] * (V + V_end)[:owned]))
-            self._work.losses[name] += mass.comm.allreduce(done, op=MPI.SUM)
-        self._resisting.clear()

@@ -72,8 +72,9 @@ def move_nodes(
     """
     _, mass, force, second = columns
     d = fixed.shape[1]
-    marks, friction, dashpots, taken = faces
+    marks, friction, dashpots, taken, resisted = faces
     ends, forces, resisting = np.empty(d), np.empty(d), np.zeros(d)
+    resists = damping > 0.0 or dashpots.shape[0] > 0
     work = grid = damped = rubbed = start = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
@@ -83,6 +84,7 @@ def move_nodes(
             for i in range(d):
                 y = out[k, i] * per_mass
                 f = out[k, force + i] + m * g[i]
+                resisting[i] = 0.0
                 if damping > 0.0:
                     resisting[i] = damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
                     f -= resisting[i]
@@ -92,8 +94,7 @@ def move_nodes(
                 for i in range(d):
                     if not fixed[k, i]:
                         ends[i] /= 1.0 + kick * dashpots[k, i] / (m * mass_scaling)
-                        if own[k]:
-                            damped += kick * dashpots[k, i] * ends[i] ** 2
+                        resisting[i] += dashpots[k, i] * ends[i]
             if marks.shape[0] > 0 and marks[k] != 0:
                 for i in range(d):
                     taken[k, i] = ends[i]
@@ -113,6 +114,10 @@ def move_nodes(
                         # a prescribed motion works against forces and inertia of the node
                         work += (m * mass_scaling * (end - y) - kick * f) * end
                 nodes[k, force + i] = end - y
+                if resists:
+                    # it takes energy by the mean of the strains' velocities before and after it
+                    resisted[k, i] = 0.5 * kick * resisting[i] if own[k] else 0.0
+                    damped += resisted[k, i] * (y + end if last else y)
                 grid += half * (end * end - y * y)
                 if begins:
                     start += half * change * (end - y)
@@ -121,11 +126,8 @@ def move_nodes(
                     nodes[k, second + i] = end
                 if pushed.shape[0] > 0:
                     pushed[k, i] = change
-                if own[k]:
-                    if last:
-                        work += dt * m * g[i] * end
-                    # a prescribed motion also works against the damping
-                    damped += 0.5 * dt * resisting[i] * (y + end)
+                if own[k] and last:
+                    work += dt * m * g[i] * end
             if last:
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
@@ -139,15 +141,17 @@ def move_nodes(
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def divide(
     box, columns, out, momentum, nodes, fixed, after, faces, own, g, dt, kick, mass_scaling,
-    done, last,
+    damping, done, last,
 ):  # fmt: skip
     """Velocities for the strain from momenta; see `move_nodes` for the arguments.
 
-    If these velocities also move the points, the works of gravity and of friction are added, sides
-    hold the nodes that they have stopped, and sums are cleared.
+    If these velocities also move the points, the works of gravity and of friction and the rest of
+    the losses by damping are added, sides hold the nodes that they have stopped, and sums are
+    cleared.
     """
-    work, rubbed, d = 0.0, 0.0, fixed.shape[1]
-    marks, friction, _, taken = faces
+    work, rubbed, damped, d = 0.0, 0.0, 0.0, fixed.shape[1]
+    marks, friction, dashpots, taken, resisted = faces
+    resists = damping > 0.0 or dashpots.shape[0] > 0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
             m = out[k, columns[1]]
@@ -169,9 +173,12 @@ def divide(
                 for i in range(d):
                     if own[k]:
                         work += dt * m * g[i] * nodes[k, columns[3] + i]
+                    if resists:
+                        damped += resisted[k, i] * nodes[k, columns[3] + i]
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
     done[1] += work
+    done[4] += damped
     done[5] += rubbed
 
 

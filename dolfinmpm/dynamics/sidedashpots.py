@@ -102,9 +102,14 @@ class SideDashpots:
         q = self._solved(product, np.where(on, 1 / c + 0.5 * dt / m, 1.0), right)
         return V + self._known(q / m), at_side + kept(q / m)
 
-    def works(self, V: Array) -> tuple[float, float]:
-        """Work of the waves, and loss by the dashpots (J), with velocities of the sides V."""
-        move = self.free * self.dt * V
+    def works(self, V: Array, mean: Array) -> tuple[float, float]:
+        """Work of the waves, and loss by the dashpots (J). Collective.
+
+        Args:
+            V: Velocities that the dashpots resist (m/s), shape (nodes, d).
+            mean: Means of the velocities before and after their impulse (m/s), likewise.
+        """
+        move = np.where(self.free, self.dt * mean, 0.0)
         both = np.array([np.sum(self.wave * move), np.sum(self.dashpots * V * move)])
         self.mass.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.SUM)
         return float(both[0]), float(both[1])

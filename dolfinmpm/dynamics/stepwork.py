@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,11 +18,13 @@ from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
+from dolfinmpm.dynamics.sidedashpots import SideDashpots
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
 __all__ = [
     "MovingNodes",
+    "add_losses",
     "add_work_of_nodes",
     "energy_of_start",
     "mean_contact_forces",
@@ -214,6 +216,42 @@ def work_of_friction(mass: Mass, stopped: Array | None, u: Array, kick: float) -
         kick: Time during which forces act (s).
     """
     return 0.0 if stopped is None else mass.inner(u, mass.blocks, stopped) / kick
+
+
+def add_losses(
+    work: Work,
+    mass: Mass,
+    motion: tuple[Array, Array, Array],
+    resisting: Mapping[str, Array],
+    at_sides: tuple[SideDashpots, Array] | None,
+    kick: float,
+) -> None:
+    """Add changes of the nodes' kinetic energy, and dissipation, in an explicit step. Collective.
+
+    Kinetic energy of a ghost mass exists only within a step. It is no loss, because points get the
+    work of all forces.
+
+    Args:
+        work: Sums to add to.
+        mass: Mass of the nodes.
+        motion: See `work_at_nodes`.
+        resisting: Name of a loss → dissipative forces on the nodes (N), shape (nodes, d).
+        at_sides: Dashpots of sides, and the velocities that they resist (m/s), or None.
+        kick: Time during which forces act (s).
+    """
+    V, V_end, V_move = motion
+    found = [sum(mass.kinetic(v)) for v in (V, V_end)]
+    work.grid += found[1] - found[0]
+    # an impulse changes the energy by the mean of the strains' velocities before and after it
+    owned, mean = mass.nodes.owned, 0.5 * (V + V_move)
+    for name, force in resisting.items():
+        done = kick * float(np.sum((force * mean)[:owned]))
+        work.losses[name] += mass.comm.allreduce(done, op=MPI.SUM)
+    if at_sides is not None:
+        sides, at_side = at_sides
+        came, lost = sides.works(at_side, mean)
+        work.external += came
+        work.losses["damping"] += lost
 
 
 def add_work_of_nodes(

@@ -214,6 +214,24 @@ def test_a_side_counts_the_energy_that_it_absorbs():
     assert abs(found["integrator"]) < 0.01 * found.initial
 
 
+@pytest.mark.parametrize(("scheme", "most"), [("musl", 0.005), ("usf", 0.1)])
+@pytest.mark.parametrize("fused", [False, True])
+def test_long_steps_count_what_a_side_absorbs(fused, scheme, most):
+    """By the velocities at the end of the dashpots' impulses, a fifth too much had counted."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 4, 17), [0.0, 0.25]])
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 0.25)), 2, 1.0)
+    V = mpm.Space(grid, "linear")
+    F = mpm.momentum(mpm.materials.Hencky(1.0, 0.0), points, V.increment, V.test)
+    sides = mpm.absorbing(V, "left", "right", density=1.0, p_speed=1.0)
+    problem = mpm.Explicit(F, V.increment, points, sides, fused=fused, scheme=scheme)
+    x = points["x"][:, 0]
+    points["velocity"] = np.outer(1e-5 * np.exp(-(((x - 2.0) / 0.6) ** 2)), (1.0, 0.0))
+    problem.step(6.0)
+    found = problem.energies()
+    assert found.kinetic + found.strain < 0.05 * found.initial
+    assert abs(found["integrator"]) < most * found.initial
+
+
 @pytest.mark.parametrize("kind", [mpm.Newmark, mpm.GeneralisedAlpha])
 def test_dashpots_take_nothing_where_a_side_moves(kind):
     """A side moves along an absorbing side: the dashpot of the corner does not act."""
