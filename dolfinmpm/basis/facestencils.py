@@ -56,8 +56,11 @@ def at_faces(
         to, half = np.clip(x + reach[rows], low, high), np.zeros_like(x)
     rest = np.zeros((s.order.size, x.shape[1]))
     rest[at] = x + reach[rows] - to
-    make = _on_leaves if isinstance(basis, LeafBasis) else _on_lattice
-    faces = make(basis, s, at, Placement(x, where.half[rows], x[:, 0], rows), to, half)
+    points = Placement(x, where.half[rows], where.volume[rows], where.cell[rows])
+    if isinstance(basis, LeafBasis):
+        faces = _on_leaves(basis, s, at, points, to, half)
+    else:
+        faces = _on_lattice(basis, s, at, points, to, half)
     return replace(s, N=_on_nodes_of(s, number, at, faces) + _slopes(s, number, rest))
 
 

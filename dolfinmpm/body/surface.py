@@ -165,7 +165,9 @@ class Surface:
             EmptyShapeError: All areas are zero.
         """
         check_points(points)
-        R, A = call_together(points.comm, lambda: (numbers_of("offset", offset), numbers_of("area", area)))
+        R, A = call_together(
+            points.comm, lambda: (numbers_of("offset", offset), numbers_of("area", area))
+        )
         error: Exception | None = None
         for what, values in (("offset", R), ("area", A)):
             if values.shape != (len(points), points.gdim):
@@ -223,7 +225,7 @@ class Surface:
         return measure.reconstruct(metadata={**measure.metadata(), "surface": self})
 
     def without_way(self, integrand: Expr) -> Expr:
-        """An integrand of `dX`, in which `at` and `position` need no way from the points' centres."""
+        """An integrand of `dX`, in which `at` and `position` have no way from the centres."""
         return ufl.replace(integrand, {self._apart: ufl.as_ufl(0.0)})
 
     @property

@@ -42,6 +42,7 @@ def axis_of(normal: Any, gdim: int) -> Array:
 
 
 def numbers_of(what: str, values: Any) -> Array:
+    """An argument as an array of numbers, or a FieldShapeError."""
     given = floats(values)
     if given is None:
         raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers")

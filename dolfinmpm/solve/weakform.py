@@ -105,8 +105,8 @@ class WeakForm:
         found = [m for g in grids for m in g.moduli]
         self.moduli = [m for m in found if not isinstance(m, FacetRing)]
         self._first_moduli()
-        own = [*self.regions, *(r for b in self.boundaries for r in b.regions)]
-        for region in (*own, *(face.terms for face in faces)):
+        every = [*self.regions, *(r for b in self.boundaries for r in b.regions)]
+        for region in (*every, *(face.terms for face in faces)):
             # errors of compilation must show now; tangents wait until a solver needs them
             region.external, region.internal, region.operands  # noqa: B018
 
