@@ -19,7 +19,7 @@ from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.linear import LinearBasis
 from dolfinmpm.basis.stencils import Placement, Stencils, running_sum
 
-__all__ = ["at_faces"]
+__all__ = ["at_faces", "in_domains"]
 
 Array = npt.NDArray[np.float64]
 # Part of a half-length that is rounding
@@ -56,11 +56,13 @@ def at_faces(
         to, half = np.clip(x + reach[rows], low, high), np.zeros_like(x)
     rest = np.zeros((s.order.size, x.shape[1]))
     rest[at] = x + reach[rows] - to
-    points = Placement(x, where.half[rows], where.volume[rows], where.cell[rows])
-    if isinstance(basis, LeafBasis):
-        faces = _on_leaves(basis, s, at, points, to, half)
+    if basis.averaged:
+        faces = in_domains(basis, to, half, x, where.half[rows])
+    elif isinstance(basis, LeafBasis):
+        faces = basis.in_cells(to, _cells(s, at))
     else:
-        faces = _on_lattice(basis, s, at, points, to, half)
+        first = basis.halo.cell_ijk[_cells(s, at)] - basis.halo.origin
+        faces = _on_lattice(basis, to, half, first, np.ones_like(first))
     return replace(s, N=_on_nodes_of(s, number, at, faces) + _slopes(s, number, rest))
 
 
@@ -96,41 +98,33 @@ def _ends(x: Array, half: Array, reach: Array) -> tuple[Array, Array]:
     return to, at
 
 
-def _on_lattice(
-    basis: LatticeBasis, s: Stencils, at: npt.NDArray[np.integer], points: Placement, to: Array,
-    half: Array,
-) -> Stencils:  # fmt: skip
-    """Stencils of positions from functions of the cells that the points overlap.
+def in_domains(
+    basis: LatticeBasis | LeafBasis, at: Array, within: Array, x: Array, half: Array
+) -> Stencils:
+    """Stencils of parts of domains, from functions of the cells that the domains overlap.
 
     Args:
         basis: The basis.
-        s: Stencils of the points.
-        at: Their positions in `s.order`, shape (n,).
-        points: The points.
-        to, half: The positions and half-lengths (m), shape (n, gdim).
+        at, within: Positions and half-lengths of the parts (m), shape (n, gdim).
+        x, half: Positions and half-lengths of the domains (m), shape (n, gdim).
     """
-    if basis.averaged:
-        first, number = basis.spans(points.x, points.half)
-        low, count = basis.spans(to, half)
-        # a face on a grid line belongs to the cell of its point
-        low = np.clip(low, first, first + number - 1)
-        count = np.minimum(count, first + number - low)
-    else:
-        low = basis.halo.cell_ijk[_cells(s, at)] - basis.halo.origin
-        count = np.ones_like(low)
-    found = basis.stencils_in(to, half, low.astype(np.int32), count.astype(np.int32))
-    assert found is not None, "the cells of faces are cells of their points"
-    return found
+    if isinstance(basis, LeafBasis):
+        return basis.in_domains(at, within, x, half)
+    first, number = basis.spans(x, half)
+    low, count = basis.spans(at, within)
+    # an end on a grid line belongs to the cells of its domain
+    low = np.clip(low, first, first + number - 1)
+    return _on_lattice(basis, at, within, low, np.minimum(count, first + number - low))
 
 
-def _on_leaves(
-    basis: LeafBasis, s: Stencils, at: npt.NDArray[np.integer], points: Placement, to: Array,
-    half: Array,
+def _on_lattice(
+    basis: LatticeBasis, at: Array, within: Array, low: npt.NDArray[np.int32],
+    count: npt.NDArray[np.int32],
 ) -> Stencils:  # fmt: skip
-    """The same on leaves; see `_on_lattice`."""
-    if basis.averaged:
-        return basis.in_domains(to, half, points.x, points.half)
-    return basis.in_cells(to, _cells(s, at))
+    """Stencils in given cells, which this rank knows because points overlap them."""
+    found = basis.stencils_in(at, within, low, count)
+    assert found is not None, "the cells of a part of a domain are cells of its point"
+    return found
 
 
 def _on_nodes_of(

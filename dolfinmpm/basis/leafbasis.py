@@ -244,15 +244,6 @@ class LeafBasis:
         s = self.in_cells(x[rows], cells[rows])
         return rows, stencil_matrix(s, s.N, (rows.size, self.nodes.size))
 
-    def cells_towards(self, at: Array, x: Array, half: Array) -> Ints:
-        """Cells of positions that are in or beyond domains: the outermost that a domain overlaps.
-
-        Args:
-            at: The positions (m), shape (n, gdim).
-            x, half: Positions and half-lengths of the domains (m), shape (n, gdim).
-        """
-        return self.cells_at(self._inwards(at, x, half))
-
     def _inwards(self, at: Array, x: Array, half: Array) -> Array:
         """Positions in domains, moved off the ends of the domains by more than rounding (m)."""
         rounding = 4 * SNAP * self.cell_sizes()[self.cells_at(x)][:, None]

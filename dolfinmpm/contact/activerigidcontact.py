@@ -76,8 +76,12 @@ class ActiveRigidContact(ActiveContact):
         self.layout = CornerLayout(contact.points, displacement, contact.surface, contact.material)
         self.candidates = candidates(contact, self.layout, listed, distance)
         self.corners = c = self.layout.corners(
-            self.candidates, lambda x: self._near_corners(x, distance)
+            self.candidates,
+            lambda x: self._near_corners(x, distance),
+            lambda: contact.body.start.directions(self._probe[1]),
         )
+        if self.layout.on_faces:
+            self._near_corners(c.x, math.inf)
         self.x: Array = c.x.copy()
         self.now = ContactForces.zero(*c.x.shape)
         self.start = self._at_start(displacement.growth is not None)

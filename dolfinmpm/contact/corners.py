@@ -7,11 +7,13 @@ when a body bends, and a bent surface has no steps. In large shear a corner of t
 from its point. Bases without domains have corners of the material, unless `Space(domains=...)` is
 the rule for flow, "volume" or "fixed", in static steps.
 
-If the basis has domains, a corner uses the functions at its position, in a cell that the domain
-overlaps. Its nodes are nodes of its point. So contact makes no further nodes active and adds no
-couplings. With other bases a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In
-steps in time every corner moves with its point's new state, see
-`dolfinmpm.contact.contactstencils`.
+If the basis has domains, a corner stands for its part of the domain's face. It lies in the middle
+of this part, and uses the averages of the functions over it: as the load of a `Surface`, contact
+with a plane along the grid's axes is then in balance with a uniform stress. Towards an oblique
+plane the part is smaller. It vanishes at 45°, where only the corner itself touches. Its nodes are
+nodes of its point. So contact makes no further nodes active and adds no couplings. With other bases
+a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In steps in time every corner
+moves with its point's new state, see `dolfinmpm.contact.contactstencils`.
 
 If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
 touches with its middle.
@@ -29,8 +31,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinmpm.basis import LatticeBasis, LeafBasis
-from dolfinmpm.basis.singlecellvalues import values_in_cells
+from dolfinmpm.basis import LinearBasis
+from dolfinmpm.basis.facestencils import in_domains
 from dolfinmpm.basis.stencils import Stencils, selected, stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.gimpdomains import update_domains
@@ -49,6 +51,8 @@ Rows = npt.NDArray[np.integer]
 Which = Rows | slice
 # All points, as rows that copy nothing
 ALL = slice(None)
+# Part of a half-length that is rounding
+_ROUNDING = 1e-12
 
 
 def _signs(gdim: int) -> Array:
@@ -141,6 +145,7 @@ class CornerLayout:
     Attributes:
         which: Numbers of the corners with which a point touches, shape (corners,).
         boxes: Whether corners belong to domains and lie between the nodes of their stencils.
+        on_faces: Whether corners stand for parts of faces, and lie in their middles.
     """
 
     def __init__(
@@ -154,7 +159,7 @@ class CornerLayout:
         # whether corners use the functions at their positions, and whether domains give positions
         placed = not (self._by_middle or displacement.total) and displacement.basis.averaged
         self.boxes = placed and not material
-        self._by_cell = placed and displacement.growth is None
+        self.on_faces = placed and displacement.growth is None
         # corners of material that shears without bound move away from its volume
         own = surface is None and not (
             material or displacement.total or displacement.basis.averaged
@@ -211,21 +216,21 @@ class CornerLayout:
         areas = np.sum(np.abs(normal) * faces, axis=1)
         return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
 
-    def corners(self, rows: Rows, kept: Callable[[Array], Which]) -> Corners:
+    def corners(
+        self, rows: Rows, kept: Callable[[Array], Which], normals: Callable[[], Array]
+    ) -> Corners:
         """The corners of some points.
 
         Args:
             rows: The points, increasing, shape (n,).
             kept: Function from positions of corners to the corners to keep, increasing.
+            normals: Function that returns the normals of the rigid surface at the kept corners,
+                shape (m, gdim).
         """
         points = self._points
         which = np.tile(self.which, rows.size)
         each = np.repeat(rows, self.which.size)
-        x: Array
-        how: Any  # cells of functions, or offsets
-        if self._by_cell:
-            x, how = self._cell_positions(rows)
-        elif self.boxes:
+        if self.boxes:
             how = _signs(points.gdim)[which]
             x = points["x"][each] + how * points["l"][each]
         else:
@@ -233,8 +238,8 @@ class CornerLayout:
         k = kept(x)
         each, which, x, how = each[k], which[k], x[k], how[k]
         M: Any
-        if self._by_cell:
-            M = self._matrix_in_cells(x, how)
+        if self.on_faces:
+            x, M = self._on_faces(each, which, normals())
         elif self.boxes:
             M = self._matrix_of_growth(each, how)
         else:
@@ -245,49 +250,42 @@ class CornerLayout:
             stencils = replace(stencils, nodes=place[stencils.nodes])
         return Corners(each, which, x, stencils)
 
-    def _cell_positions(self, rows: Rows) -> tuple[Array, Rows]:
-        """Positions of corners, and their cells for functions, in the halo's tables."""
-        basis = self._displacement.basis
-        points = self._points
-        x, half = points["x"][rows], points["l"][rows]
-        signs = _signs(points.gdim)[self.which]
-        if isinstance(basis, LeafBasis):
-            R = signs * (half if self.boxes else points["l0"][rows])[:, None]
-            if not self.boxes:
-                R = np.einsum("pij,pcj->pci", self._F[rows], R)
-            at = (x[:, None] + R).reshape(-1, points.gdim)
-            each = np.repeat(np.arange(len(rows)), len(signs))
-            return at, basis.cells_towards(at, x[each], half[each])
-        assert isinstance(basis, LatticeBasis)
-        low, count = basis.spans(x, half)
-        last = low + count - 1
-        if self.boxes:
-            at = (x[:, None] + signs * half[:, None]).reshape(-1, points.gdim)
-            # a corner is in the outermost cell that its point's domain overlaps
-            return at, np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
-        R = signs * points["l0"][rows][:, None]
-        at = x[:, None] + np.einsum("pij,pcj->pci", self._F[rows], R)
-        # beyond the cells of the domain, the functions of the last cell are continued
-        own = basis.lattice.cells_at(at.reshape(-1, points.gdim)) - basis.halo.origin
-        cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
-        return at.reshape(-1, points.gdim), cell.reshape(-1, points.gdim)
+    def _on_faces(
+        self, each: Rows, which: Rows, normal: Array
+    ) -> tuple[Array, scipy.sparse.csr_matrix]:
+        """Middles of the parts of faces that corners stand for, and the averages over them.
 
-    def _matrix_in_cells(self, x: Array, cell: Rows) -> scipy.sparse.csr_matrix:
-        """Stencils of corners from the functions of given cells."""
-        basis, C = self._displacement.basis, self._displacement.C
-        if isinstance(basis, LeafBasis):
-            s = basis.in_cells(x, np.asarray(cell, np.int32))
-            N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
-            return N if C is None else scipy.sparse.csr_matrix(N @ C)
-        assert isinstance(basis, LatticeBasis)
-        found = values_in_cells(basis, x, np.ascontiguousarray(cell, np.int32))
-        # the points' own stencils have nodes in these cells
-        assert found is not None
-        nodes, values = found
-        start = values.shape[1] * np.arange(len(x) + 1)
-        shape = len(x), basis.nodes.size
-        N = scipy.sparse.csr_matrix((values.ravel(), nodes.ravel(), start), shape=shape)
-        return N if C is None else scipy.sparse.csr_matrix(N @ C)
+        Args:
+            each: Point of each corner, shape (m,).
+            which: Number of each corner at its point, shape (m,).
+            normal: Normal of the rigid surface at each corner, shape (m, gdim).
+        """
+        points, basis, C = self._points, self._displacement.basis, self._displacement.C
+        if self._surface is not None:
+            normal = np.broadcast_to(self._surface.normal, normal.shape)
+        elif not self.boxes:
+            normal = np.einsum("pij,pi->pj", self._F[each], normal)
+        size = np.abs(normal)
+        largest = size.max(axis=1, initial=np.finfo(float).tiny, keepdims=True)
+        # place of the middle between the point's centre and the corner: smooth in the normal
+        share = 0.5 + 0.5 * (size / largest) ** 2
+        R = _signs(points.gdim)[which] * share
+        x, half = points["x"][each], points["l"][each]
+        if self.boxes:
+            r = R * half
+        else:
+            r = np.einsum("cij,cj->ci", self._F[each], R * points["l0"][each])
+        within = np.where(1.0 - share > _ROUNDING, (1.0 - share) * half, 0.0)
+        # beyond the domain the functions are continued by the gradients at the point
+        inside = np.clip(r, within - half, half - within)
+        assert not isinstance(basis, LinearBasis), "linear functions have no averages"
+        s = in_domains(basis, x + inside, within, x, half)
+        M = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
+        M = M if C is None else scipy.sparse.csr_matrix(M @ C)
+        rest = r - inside
+        if np.any(np.abs(rest) > _ROUNDING * half):
+            M = M + self._matrix_by_gradient(each, rest, value=False)
+        return x + r, M
 
     def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and offsets from their points for motion by the gradients."""
@@ -304,10 +302,18 @@ class CornerLayout:
         # gradients at initial positions need initial offsets
         return points["x"][each] + r, R if self._displacement.total else r
 
-    def _matrix_by_gradient(self, each: Rows, along: Array) -> scipy.sparse.csr_matrix:
-        """Stencils of corners from the stencils of their points, continued by the gradient."""
+    def _matrix_by_gradient(
+        self, each: Rows, along: Array, value: bool = True
+    ) -> scipy.sparse.csr_matrix:
+        """Stencils of corners from the stencils of their points, continued by the gradient.
+
+        Args:
+            each: Point of each corner, shape (m,).
+            along: Offset of each corner from its point (m), shape (m, gdim).
+            value: False for the parts of the gradients alone.
+        """
         N, *dN = self._stencils(each)[2:]
-        data = N.data.copy()
+        data = N.data.copy() if value else np.zeros_like(N.data)
         for k, part in enumerate(dN):
             data += np.repeat(along[:, k], np.diff(N.indptr)) * part.data
         return self._prolonged(N, data)

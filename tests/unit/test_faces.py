@@ -80,6 +80,33 @@ def test_stress_is_uniform_under_a_footing(basis):
     assert footing.load() == pytest.approx(-0.25 * stress.mean(), rel=1e-9)
 
 
+@pytest.mark.parametrize("refined", [False, True], ids=["cells", "leaves"])
+@pytest.mark.parametrize("corners", ["domains", "material"])
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_stress_is_uniform_between_rigid_plates(basis, corners, refined):
+    """Between smooth plates anywhere in the cells, with domains that grid lines cut."""
+    lines = [np.arange(-4, 21) / 8 + 0.04, np.linspace(-0.125, 0.75, 8)]
+    grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 0.5)), 2, 1000.0, aligned="body")
+    # the same cells, as leaves
+    space = {"refine": lambda x: np.full(x.shape[1], 0.125), "levels": 1} if refined else {}
+    V = mpm.Space(grid, basis, **space)
+    u, v = V.increment, V.test
+    F = mpm.momentum(NeoHookean(1e6, 0.3), points, u, v)
+    # rigid motions along the plates are held softly
+    F += 1e-3 * ufl.inner(u, v) * points.dX
+    plate = mpm.RigidBody(mpm.Box((-0.3, 0.5), (2.3, 0.7)), increment=(0, -0.02))
+    F += mpm.contact(plate, points, u, v, corners=corners)
+    base = mpm.RigidBody(mpm.Box((-0.3, -0.1), (2.3, 0.0)), increment=(0, 0))
+    F += mpm.contact(base, points, u, v, corners=corners)
+    problem = mpm.QuasiStatic(F, u, points, [], stabilisation="ghost")
+    for _ in range(4):
+        problem.step()
+        stress = points["stress"][:, 1, 1]
+        assert np.ptp(stress) < 1e-7 * abs(stress.mean())
+    assert plate.force[1] == pytest.approx(-base.force[1], rel=1e-6)
+
+
 @pytest.mark.parametrize("stabilisation", ["none", "soft", "ghost"])
 def test_equal_pulls_move_the_end_of_a_row_equally(stabilisation):
     """With F-bar, a thin part beyond a grid line has no volumetric stiffness of its own."""
