@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
@@ -71,6 +69,9 @@ def check_parts(x: Array, facets: Facets, name: str) -> None:
 
 def _parts(x: Array, facets: Facets) -> list[Facets]:
     """Facets that hang together by their corners."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     first = np.repeat(facets[:, 0], x.shape[1])
     graph = coo_matrix((np.ones(first.size), (first, facets.ravel())), shape=(len(x),) * 2)
     _, label = connected_components(graph, directed=False)

@@ -57,7 +57,8 @@ class Derivatives:
     The stress in a bar is proportional to Young's modulus:
 
     >>> import dolfinmpm as mpm
-    >>>     >>> def scene(m):
+    >>> from mpi4py import MPI
+    >>> def scene(m):
     ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
     ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=2000.0)
     ...     V = mpm.Space(grid, "gimp")
@@ -145,7 +146,8 @@ def differentiate(
     >>> import dolfinmpm as mpm
     >>> import ufl
     >>> from dolfinx import fem
-    >>>     >>> def scene(m):
+    >>> from mpi4py import MPI
+    >>> def scene(m):
     ...     grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(6)])
     ...     points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=m["density"])
     ...     V = mpm.Space(grid, "gimp")

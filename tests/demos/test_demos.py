@@ -15,7 +15,7 @@ DEMOS = sorted((ROOT / "demos").glob("*.py"))
 NUMBERS = {
     "cantilever": ("down", 0.8262),
     "cone": ("found", 10.314),
-    "consolidation": ("degree", 0.7680),
+    "consolidation": ("degree", 0.7650),
     "coupled_slope": ("limit", 5.231),
     "column_collapse": ("error", 2.609e-3),
     "column_compaction": ("error", 5.56e-4),
@@ -27,7 +27,7 @@ NUMBERS = {
     "layered_ground": ("P", 68131.4),
     "paraview_and_checkpoint": ("difference", 0.0),
     # rounding decides which corners touch first: two processors differ by 0.013
-    "pipe": ("factor", 5.181),
+    "pipe": ("factor", 5.238),
     "plough": ("ratio", 6.2447),
     "published_law": ("settlement", 0.11531),
     "refined_cone": ("found", 10.28),
