@@ -22,7 +22,7 @@ def test_a_cone_in_clay(tmp_path):
 
 def test_cells_that_follow_the_tip(tmp_path):
     """Cells around the tip alone find the force of a grid that is fine all along the way."""
-    options = "--h", "0.5", "--step", "0.1", "--depth", "7.5", "--width", "15"
+    options = "--h", "0.25", "--step", "0.1", "--depth", "7.5", "--width", "15"
     alike = "--ghost", "0.03", "--penalty", "1", "--fbar", "volumes", "--no-plot"
     fine = run("cone_penetration", *options, *alike)
     found = run("cone_penetration", "--refine", *options, "--output", str(tmp_path))
