@@ -215,10 +215,7 @@ def poromechanics(
     flow = at.J * through.rate
     terms = -at.J * acts * ufl.tr(at.grad(v)) + storage * q
     terms += theta * points.dt * ufl.dot(flow, at.grad(q))
-    slope = carried(
-        points, "pressure_gradient", at.grad(p), unit="Pa/m", first=np.zeros(points.gdim)
-    )
-    slope.slope_of = "pressure"
+    slope = _slope(points, at.grad(p))
     if theta < 1:
         terms += (1 - theta) * points.dt * _flow_before(points, flow, at, q, slope)
         keeps.append(slope)
@@ -240,6 +237,14 @@ def poromechanics(
     for part in _surface_terms(through, weight, v, drained, seepage, inflow, ponded):
         form += part
     return form
+
+
+def _slope(points: MaterialPoints, gradient: Expr) -> CarriedField:
+    """The gradient of the pressure at the end of the last step (Pa/m)."""
+    first = np.zeros(points.gdim)
+    slope = carried(points, "pressure_gradient", gradient, unit="Pa/m", first=first)
+    slope.slope_of = "pressure"
+    return slope
 
 
 def _stored(
