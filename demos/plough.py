@@ -1,6 +1,6 @@
 """A blade is dragged through sand, and carries more than a wall of its width.
 
-One half of a steel blade, 0.5 m wide and deep, stands in a bed of sand of 44 % relative density,
+One half of a steel blade, 0.6 m wide and deep, stands in a bed of sand of 44 % relative density,
 whose strength, weight and stiffness follow from that (Brinkgreve, Engin & Engin 2010). The sand is
 at rest at first. A smooth wall would carry Rankine's passive thrust on its width,
 
@@ -23,11 +23,11 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 
-h, depth, width, way, steps = 0.25, 0.5, 0.5, 0.1, 5
+h, depth, width, way, steps = 0.2, 0.6, 0.6, 0.1, 5
 hexahedra = mesh.CellType.hexahedron
-low, high = (0.0, 0.0, -1.25), (3.5, 1.25, 0.5)
-grid = mesh.create_box(MPI.COMM_WORLD, [low, high], (14, 5, 7), hexahedra)
-blade = mpm.Box((0.75, -width / 2, -depth), (1.0, width / 2, depth))
+low, high = (0.0, 0.0, -1.2), (3.6, 1.2, 0.6)
+grid = mesh.create_box(MPI.COMM_WORLD, [low, high], (18, 6, 9), hexahedra)
+blade = mpm.Box((0.8, -width / 2, -depth), (1.0, width / 2, depth))
 bed = mpm.Box(low, (*high[:2], 0.0))
 
 sand = mpm.materials.sand(0.44)
@@ -63,7 +63,7 @@ ratio = pull / thrust
 
 mpm.plot(
     points, "output/plough.png", colour="displacement", component=2, cut=("y", 0.06),
-    bodies=[plough], view=((0.0, 2.75), (-1.25, 0.5)), label="rise (m)", cmap="RdBu_r",
+    bodies=[plough], view=((0.0, 2.8), (-1.2, 0.6)), label="rise (m)", cmap="RdBu_r",
     limits=(-0.2, 0.2), title=f"pull {pull / 1e3:.1f} kN after {way:g} m",
 )  # fmt: skip
 if MPI.COMM_WORLD.rank == 0:
