@@ -54,7 +54,7 @@ class UFLStress:
     Attributes:
         known: Whether the internal forces define a stress.
         strain: Name of the strain formulation, as for a law.
-        carried: See `PointUpdates`.
+        carried, term: See `PointUpdates`.
     """
 
     strain, carried, term = "large", False, None

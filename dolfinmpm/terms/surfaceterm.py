@@ -9,7 +9,7 @@ import numpy as np
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.term import Term
 from dolfinmpm.basis.facestencils import at_faces
-from dolfinmpm.basis.stencils import all_pushed_forward, joined, selected
+from dolfinmpm.basis.stencils import Stencils, all_pushed_forward, joined, selected
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveRegion
 from dolfinmpm.cut.prolongation import Prolongation
@@ -59,20 +59,14 @@ class SurfaceTerm(Term):
         reach = points[self.surface.offset.name]
         if not here.total:
             reach = np.einsum("pij,pj->pi", F, reach)
-        made = {}
-        for f in here.fields:
-            if id(f.full_stencils) not in made:
-                own = at_faces(f.basis, selected(f.full_stencils, chosen), here.where, reach)
-                made[id(f.full_stencils)] = own
-        stencils = []
-        once: dict[tuple[int, int], Any] = {}
-        for f in here.fields:
-            key = id(f.full_stencils), id(f.C)
+        # fields with common stencils keep them common
+        once: dict[tuple[int, int], Stencils] = {}
+        keys = [(id(f.full_stencils), id(f.C)) for f in here.fields]
+        for key, f in zip(keys, here.fields):
             if key not in once:
-                own = made[key[0]]
+                own = at_faces(f.basis, selected(f.full_stencils, chosen), here.where, reach)
                 once[key] = own if f.C is None else Prolongation(f.C).stencils(own)
-            stencils.append(once[key])
-        stencils = joined(stencils)
+        stencils = joined([once[key] for key in keys])
         if here.total:
             stencils = all_pushed_forward(stencils, F)
         within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
