@@ -340,9 +340,18 @@ class Surface:
 
     def displacements(self) -> Array:
         """Total displacements of the faces (m), shape (points on this rank, gdim)."""
-        points, R = self.points, self.points[self.offset.name]
-        now = np.einsum("pij,pj->pi", in_section(points, points["F"]), R)
-        return points["x"] - points["x0"] + (now - R)
+        return self.displacements_of(self.points["x"], self.points["F"])
+
+    def displacements_of(self, x: Array, F: Array) -> Array:
+        """Total displacements of the faces in a state of the points (m), shape (points, gdim).
+
+        Args:
+            x: Positions (m), shape (points, gdim).
+            F: Deformation gradients, shape (points, 3, 3) or (points, gdim, gdim).
+        """
+        R = self.points[self.offset.name]
+        now = np.einsum("pij,pj->pi", in_section(self.points, F), R)
+        return x - self.points["x0"] + (now - R)
 
     @collective
     def mean_displacement(self) -> Array:

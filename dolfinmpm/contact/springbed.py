@@ -1,7 +1,12 @@
 """A bed of springs under a face of a body (Winkler 1867): t = −k (n·d) n.
 
-d is the displacement of the face since it was marked, and n is its initial normal. The bed stands
-for ground outside the grid. This file contains the whole term; see `dolfinmpm.assembly.term`.
+d is the displacement of the face since the springs were made, and n is its initial normal. The bed
+stands for ground outside the grid. This file contains the whole term; see
+`dolfinmpm.assembly.term`.
+
+The displacement along n is a sum of increments of the functions at the faces, those on which the
+springs act. So they store as much energy as they take, and a body on them is in balance with a
+uniform stress. What moves the points without the springs, in another problem, is added.
 """
 
 from __future__ import annotations
@@ -17,13 +22,13 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.assembly.term import ActiveTerm, Term, as_form
+from dolfinmpm.assembly.term import ActiveTerm, NewState, Term, as_form
 from dolfinmpm.basis.stencils import stencil_matrix
-from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.terms.surfaceterm import face_stencils
 
 __all__ = ["springs"]
 
@@ -44,6 +49,35 @@ class SpringBed(Term):
     def __init__(self, surface: Surface, u: Any, stiffness: float):
         self.points, self.surface, self.stiffness = surface.points, surface, stiffness
         self._u = u
+        points, names = surface.points, surface.points.fields
+        self._way, self._seen = (f"{surface.name}_spring_{one}" for one in ("way", "motion"))
+        new = self._way not in names
+        points.add_field(self._way, (), "m")
+        points.add_field(self._seen, (), "m")
+        if new:
+            points[self._seen] = self._along()
+
+    def _along(self) -> Array:
+        """Displacements of the faces along their normals (m), shape (points,)."""
+        return np.sum(self.normals[0] * self.surface.displacements(), axis=1)
+
+    @property
+    def way(self) -> Array:
+        """Displacements along the normals since the springs were made (m), shape (points,)."""
+        return self.points[self._way] + (self._along() - self.points[self._seen])
+
+    def keep(self, way: Array, new: NewState) -> None:
+        """Add the displacements at the end of a step to a new state.
+
+        Args:
+            way: See the attribute, at the end of the step.
+            new: The new state.
+        """
+        points, F = self.points, new.fields.get("F", self.points["F"])
+        x = new.fields.get("x", points["x"])
+        new.fields[self._way] = way
+        moved = self.surface.displacements_of(x, F)
+        new.fields[self._seen] = np.sum(self.normals[0] * moved, axis=1)
 
     def __repr__(self) -> str:
         return f"the springs at '{self.surface.name}', {self.stiffness:g} Pa/m"
@@ -69,9 +103,7 @@ class SpringBed(Term):
 
     def energy(self) -> tuple[float, float]:
         """See `Term`. Collective."""
-        n, k = self.normals
-        along = np.sum(n * self.surface.displacements(), axis=1)
-        own = 0.5 * float(k @ along**2)
+        own = 0.5 * float(self.normals[1] @ self.way**2)
         return self.points.comm.allreduce(own, op=MPI.SUM), 0.0
 
     def rate(self) -> float:
@@ -91,16 +123,10 @@ class ActiveSprings(ActiveTerm):
         self._bed, points = bed, bed.points
         fields = here.fields
         self._k = next(k for k, f in enumerate(fields) if f.space.increment is bed._u)
-        s, nodes = fields[self._k].stencils, fields[self._k].basis.nodes.size
-        offset = points[bed.surface.offset.name]
-        reach = np.einsum("pij,pj->pi", in_section(points, points["F"]), offset)
-        # the displacement of a face is u + ∇u r of its point
-        self._seen = stencil_matrix(s, s.N, (len(points), nodes))
-        for j in range(points.gdim):
-            slope = stencil_matrix(s, np.ascontiguousarray(s.dN[:, j]), (len(points), nodes))
-            self._seen = self._seen + scipy.sparse.diags(reach[:, j]) @ slope
+        s = face_stencils(bed.surface, fields[self._k], here)
+        shape = len(points), fields[self._k].basis.nodes.size
         self._rows = np.flatnonzero(bed.normals[1])
-        self._seen = scipy.sparse.csr_matrix(self._seen)[self._rows]
+        self._seen = scipy.sparse.csr_matrix(stencil_matrix(s, s.N, shape))[self._rows]
         self.stiffness = [self._blocks()]
 
     def _blocks(self) -> Blocks:
@@ -120,15 +146,27 @@ class ActiveSprings(ActiveTerm):
     def external(self, out: Sequence[Array]) -> None:
         """See `ActiveTerm`: forces at the start of the step, which resist."""
         n, k = (values[self._rows] for values in self._bed.normals)
-        along = np.sum(n * self._bed.surface.displacements()[self._rows], axis=1)
-        out[self._k][...] += self._seen.T @ ((k * along)[:, None] * n)
+        out[self._k][...] += self._seen.T @ ((k * self._bed.way[self._rows])[:, None] * n)
+
+    def move(self, u: Sequence[Array]) -> None:
+        """See `ActiveTerm`."""
+        self._u = u[self._k]
+
+    def update(self, new: NewState) -> None:
+        """See `ActiveTerm`."""
+        way = self._bed.way
+        normals = self._bed.normals[0][self._rows]
+        way[self._rows] += np.sum(normals * (self._seen @ self._u), axis=1)
+        self._bed.keep(way, new)
 
 
 def springs(surface: Surface, u: Any, v: Any, *, stiffness: float) -> ufl.Form:
     """A bed of springs at a face of a body, a term to be added: F += mpm.springs(...).
 
     The springs act along the normal of the face, in compression and in tension. They are free of
-    stress when the face is marked.
+    stress when they are made. The points keep the displacement of the face along its normal since
+    then in the field `<surface>_spring_way` (m). Springs on a surface that has had springs go on
+    with it.
 
     Args:
         surface: The face, `mpm.Surface`.

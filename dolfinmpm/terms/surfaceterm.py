@@ -11,12 +11,30 @@ from dolfinmpm.assembly.term import Term
 from dolfinmpm.basis.facestencils import at_faces
 from dolfinmpm.basis.stencils import Stencils, all_pushed_forward, joined, selected
 from dolfinmpm.body.axisymmetry import in_section
-from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveRegion
+from dolfinmpm.body.surface import Surface
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, ActiveRegion
 from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.forms.declarations import LawConstant
 from dolfinmpm.forms.splitting import SurfaceTerms
 
-__all__ = ["SurfaceTerm"]
+__all__ = ["SurfaceTerm", "face_stencils"]
+
+
+def face_stencils(surface: Surface, field: ActiveField, here: ActiveDomain) -> Stencils:
+    """Stencils of the faces of a surface, with the functions of a field at the faces.
+
+    Args:
+        surface: The surface.
+        field: An active field.
+        here: The activation.
+    """
+    points = surface.points
+    reach = points[surface.offset.name]
+    if not here.total:
+        reach = np.einsum("pij,pj->pi", in_section(points, points["F"]), reach)
+    chosen = np.any(points[surface.area.name] != 0.0, axis=1)
+    faces = at_faces(field.basis, selected(field.full_stencils, chosen), here.where, reach)
+    return faces if field.C is None else Prolongation(field.C).stencils(faces)
 
 
 class SurfaceTerm(Term):
@@ -53,21 +71,15 @@ class SurfaceTerm(Term):
 
     def _region(self, here: ActiveDomain) -> ActiveRegion:
         """Stencils of the faces on an activation."""
-        points = self.points
-        chosen = np.any(points[self.surface.area.name] != 0.0, axis=1)
-        F = in_section(points, points["F"])
-        reach = points[self.surface.offset.name]
-        if not here.total:
-            reach = np.einsum("pij,pj->pi", F, reach)
         # fields with common stencils keep them common
         once: dict[tuple[int, int], Stencils] = {}
         keys = [(id(f.full_stencils), id(f.C)) for f in here.fields]
         for key, f in zip(keys, here.fields):
             if key not in once:
-                own = at_faces(f.basis, selected(f.full_stencils, chosen), here.where, reach)
-                once[key] = own if f.C is None else Prolongation(f.C).stencils(own)
+                once[key] = face_stencils(self.surface, f, here)
         stencils = joined([once[key] for key in keys])
         if here.total:
-            stencils = all_pushed_forward(stencils, F)
+            points = self.points
+            stencils = all_pushed_forward(stencils, in_section(points, points["F"]))
         within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
         return ActiveRegion(stencils, None, within)

@@ -7,6 +7,7 @@ import pytest
 import ufl
 from conftest import Linearised, unit_grid
 from dolfinx import fem
+from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, ParameterError
@@ -34,7 +35,10 @@ def test_a_block_settles_by_its_weight(basis):
     for _ in range(2):
         problem.step()
     # weight per area over k, and the force is that of the second step too
-    assert face.mean_displacement()[1] == pytest.approx(-WEIGHT * 0.5 / K, rel=1e-6)
+    # the springs follow the functions at the face, and the face follows its points
+    way = problem.points["base_spring_way"][np.any(problem.points["base_area"] != 0, axis=1)]
+    np.testing.assert_allclose(way, WEIGHT * 0.5 / K, rtol=1e-6)
+    assert face.mean_displacement()[1] == pytest.approx(-WEIGHT * 0.5 / K, rel=1e-5)
     assert problem.history[-1].iterations <= 3
 
 
@@ -87,3 +91,54 @@ def test_what_it_refuses():
     F = problem.form.given - mpm.springs(face, V.increment, V.test, stiffness=1.0)
     with pytest.raises(FormError, match="scaled or subtracted"):
         mpm.QuasiStatic(F, V.increment, problem.points)
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation"])
+def test_stress_is_uniform_on_springs_that_pass_cells(basis, stabilisation):
+    """A column on springs, pressed down through two cells. The face's motion is exact, too."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [[0, 0.125, 0.25], np.linspace(-0.5, 1.25, 15)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.25, 1)), 2, 1.0)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    top, base = (mpm.Surface(points, lambda x, z=z: abs(x[1] - z) < 1e-9, (0, s), name=f"z{z}")
+                 for z, s in ((1, 1), (0, -1)))  # fmt: skip
+    p = fem.Constant(grid, 0.0)
+    F = mpm.momentum(mpm.materials.NeoHookean(1e6, 0.0), points, u, v)
+    F += top.pressure(p, u, v) + mpm.springs(base, u, v, stiffness=1e6)
+    bcs = mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
+    for k in range(1, 6):
+        p.value = 6e4 * k
+        problem.step()
+        assert np.abs(points["stress"][:, 1, 1] / p.value + 1).max() < 1e-8
+    assert base.mean_displacement()[1] == pytest.approx(-0.3, rel=1e-6)
+    np.testing.assert_allclose(points["z0_spring_way"][points["x0"][:, 1] < 0.05], 0.3, rtol=1e-8)
+
+
+def test_springs_are_free_of_stress_when_they_are_made():
+    problem, _ = block()
+    problem.step()
+    points = problem.points
+    way = points["base_spring_way"].copy()
+    V = problem.fields[0].space
+    u, v = V.increment, V.test
+    # a second bed on another surface at the same place takes nothing while nothing moves
+    other = mpm.Surface(points, lambda x: np.isclose(x[1], 0.25), (0, -1), name="later")
+    form = problem.form.given + mpm.springs(other, u, v, stiffness=K)
+    again = mpm.QuasiStatic(form, u, points, mpm.rollers(V, "left"), stabilisation="ghost")
+    again.step()
+    np.testing.assert_allclose(points["base_spring_way"], way, atol=1e-6 * way.max())
+    assert np.abs(points["later_spring_way"]).max() < 1e-6 * way.max()
+
+
+def test_springs_know_what_moved_the_body_without_them():
+    problem, face = block()
+    points, V = problem.points, problem.fields[0].space
+    u, v = V.increment, V.test
+    held = mpm.prescribed(V, "left", 1, increment=-0.01)
+    law = mpm.materials.Hencky(E=1e4, nu=0.0)
+    mpm.QuasiStatic(mpm.momentum(law, points, u, v), u, points, held).step()
+    assert face.mean_displacement()[1] == pytest.approx(-0.01, rel=1e-3)
+    bed = next(term for term in problem.form.terms if term.kind == "springs")
+    assert bed.energy()[0] == pytest.approx(0.5 * K * 0.5 * 0.01**2, rel=1e-3)
