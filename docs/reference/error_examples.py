@@ -174,6 +174,11 @@ def DifferentProblemWarning():
     problem(points, V, *mpm.rollers(V, "bottom")).load("block.npz")
 
 
+def RoughShapeWarning():
+    grid = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4, mesh.CellType.quadrilateral)
+    mpm.fill(grid, mpm.Ball((0.5, 0.5), 0.15), per_cell=1, density=1.0)
+
+
 def SoftVolumeWarning():
     points, V = block(basis="bspline3")
     clay = mpm.materials.CamClay(

@@ -38,6 +38,7 @@ __all__ = [
     "MissingPackageError",
     "ParameterError",
     "PointsOutsideGridError",
+    "RoughShapeWarning",
     "ShapeOutsideGridError",
     "SingularMassWarning",
     "SoftVolumeWarning",
@@ -170,6 +171,10 @@ class LostMomentumWarning(DolfinMPMWarning):
 
 class SingularMassWarning(DolfinMPMWarning):
     """A consistent mass is nearly singular: its nodal velocities are far too large."""
+
+
+class RoughShapeWarning(DolfinMPMWarning):
+    """The points of a filled shape have a volume that is far from that of the shape."""
 
 
 class SoftVolumeWarning(DolfinMPMWarning):

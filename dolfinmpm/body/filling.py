@@ -16,8 +16,10 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
+    RoughShapeWarning,
     ShapeOutsideGridError,
     call_together,
+    warn,
 )
 from dolfinmpm.basis.refinement import Refinement
 from dolfinmpm.basis.space import Space
@@ -40,6 +42,8 @@ Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 Density = float | Callable[[Array], Array]
 
+# Relative error of the volume that is told
+_ROUGH = 0.15
 # Overlaps below this share of a part of a cell come from rounding
 _SLIVER = 1e-9
 
@@ -62,7 +66,8 @@ def fill(
     Every cell is divided into `per_cell` equal parts per direction: n, n² or n³ parts. Each part
     with its centre in the shape gets a point at the centre. On rectangular grids, parts that a
     `Box` cuts are trimmed to the box, so that volume and mass are exact. For other shapes,
-    `volume_error` of the points is the relative error of their volume.
+    `volume_error` of the points is the relative error of their volume; more than 15 % is told by a
+    `RoughShapeWarning`.
 
     With `exact`, every part that the surface of the shape cuts gets a point. The point has the
     volume and the centroid of the piece inside the shape. For shapes with a known volume and
@@ -148,7 +153,16 @@ def fill(
     if whole is not None:
         total = grid.comm.allreduce(float(volume.sum()), op=MPI.SUM)
         points.shape_volume = float(whole)
-        points.volume_error = (total - points.shape_volume) / points.shape_volume
+        points.volume_error = error = (total - points.shape_volume) / points.shape_volume
+        if abs(error) > _ROUGH:
+            warn(
+                grid.comm,
+                f"the points have the volume {total:.4g}, and their shape has {whole:.4g}: "
+                f"{100 * error:+.0f} %, more than {100 * _ROUGH:.0f} %. Parts of cells are in the "
+                "shape if their centres are: take fill(..., exact=True), smaller cells or more "
+                "points per cell",
+                RoughShapeWarning,
+            )
     return points
 
 

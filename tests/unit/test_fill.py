@@ -12,6 +12,7 @@ import dolfinmpm as mpm
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
+    RoughShapeWarning,
     ShapeOutsideGridError,
     UnsupportedGridError,
 )
@@ -91,6 +92,15 @@ def test_what_exact_volumes_mend():
     assert abs(errors[False][1]) > 0.02
     assert abs(errors[True][0]) < 1e-12
     assert abs(errors[True][1]) < 2e-4
+
+
+def test_a_volume_that_is_far_off_is_told():
+    grid = unit_grid("quadrilateral", 4)
+    plate = mpm.TurnedBox((0.1, 0.4), (0.9, 0.48), 30.0)
+    with pytest.warns(RoughShapeWarning, match=r"the volume 0\.0\d+, and their shape has 0\.064"):
+        points = mpm.fill(grid, plate, per_cell=2, density=1.0)
+    assert abs(points.volume_error) > 0.15
+    assert abs(mpm.fill(grid, plate, per_cell=2, density=1.0, exact=True).volume_error) < 1e-12
 
 
 def test_combinations_are_as_good_as_sampling():
