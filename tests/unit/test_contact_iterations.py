@@ -143,3 +143,20 @@ def test_ground_that_only_meets_what_it_lies_on_comes_to_rest_at_once(friction):
     assert record.iterations <= 4
     np.testing.assert_allclose(sum(plate.force[1] for plate in plates), -96e3, rtol=1e-5)
     assert np.abs(points["x"] - points["x0"]).max(initial=0.0) < 1e-4
+
+
+def test_a_free_footing_that_begins_at_the_surface_carries_its_load():
+    """Its own equations had no stiffness before anything pressed it."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(-2, 2.1, 0.5), np.arange(-1, 0.6, 0.5)])
+    points = mpm.fill(grid, mpm.Box((-2, -1), (2, 0)), 2, 1700.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    free = (False, True, False)
+    footing = mpm.RigidBody(mpm.Box((-1, 0), (1, 0.5)), free=free, force=(0.0, -5e3))
+    F = mpm.momentum(mpm.materials.Hencky(50e6, 0.3), points, u, v)
+    F += mpm.contact(footing, points, u, v)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    record = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost").step()
+    assert record.halvings == 0
+    np.testing.assert_allclose(footing.force[1], 5e3, rtol=1e-6)
+    assert 0.24 < footing.position[1] < 0.25
