@@ -19,6 +19,7 @@ from dolfinmpm.contact.contactlaw import (
     explicit_reduction,
     slip_work,
 )
+from dolfinmpm.contact.contactpairs import TOUCHES
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
 from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.corners import ALL, CornerLayout, DisplacementBasis, Rows, Which
@@ -161,23 +162,43 @@ class ActiveRigidContact(ActiveContact):
 
         Args:
             displacement: Displacements of the corners in the step (m), shape (m, gdim).
-            clings: Whether corners that touched before are held.
+            clings: Whether corners that touched before are held, and those that only meet the
+                body, so that the first iteration does not let the points fall through it.
         """
         pose = self.contact.body.pose
         self.x = self.corners.x + displacement
         at = pose.back(self.x)
-        holds = self.start.normal_force > 0.0
-        if not clings:
-            holds[:] = False
         # a corner comes no nearer than the length of its path
         self.now.path = np.linalg.norm(at - self.local_start, axis=1)
-        far = self.start.gap > self.now.path
-        c = np.flatnonzero(~far | holds | (self.start.multiplier > 0.0))
+        near = self.start.gap <= self.now.path
+        holds, meets = np.zeros((2, len(at)), bool)
+        if clings:
+            rounding = TOUCHES * self.layout.reach(self.corners.rows)
+            holds = self.start.normal_force > 0.0
+            meets = (self.start.gap < rounding) & ~holds
+        c = np.flatnonzero(near | holds | meets | (self.start.multiplier > 0.0))
         probe = self.contact.body.surface.probe(at[c])
+        if meets.any():
+            # a body that goes away lets go what it did not press
+            meets[c] &= probe[0] < rounding[c]
         moved = self.now.path > _ROUNDING * np.abs(at).max(initial=0.0)
         # at the start of a step the closing of the last step counts
         closing = self.start.gap[c] - probe[0] if moved.any() else self.start.closing[c]
-        self._compute(c, at, probe, holds, closing)
+        self._compute(c, at, probe, holds | meets, closing)
+        if self.contact.law.friction and meets.any():
+            self._stick(c[meets[c]], probe[1][meets[c]])
+
+    def _stick(self, c: Rows, normal: Array) -> None:
+        """Hold corners along the body that are about to be pressed, and will stick.
+
+        Args:
+            c: The corners.
+            normal: Normal of the surface at each of them, shape (c, gdim).
+        """
+        free = self.now.normal[c] <= 0.0
+        along = np.eye(normal.shape[1]) - normal[:, :, None] * normal[:, None, :]
+        k = self.contact.law.slip_share * self.start.stiffness[c]
+        self.now.derivative[c[free]] -= (k[:, None, None] * along)[free]
 
     def compute_at_start(self) -> None:
         """Compute the forces for corners and body at the start of the step."""

@@ -127,6 +127,8 @@ def absorbing(
     The tractions are −ρ c_p v_n and −ρ c_s v_t. They absorb waves at normal incidence completely
     (Lysmer & Kuhlemeyer 1969, J. Eng. Mech. Div. ASCE 95, 859). They act on the part of a side that
     the body covers at the start of a step: on the domains of the points in the cells beside it.
+    They carry no weight: a body with gravity on them sinks, unless a traction on its lower face, or
+    another condition, holds it.
 
     Args:
         space: Space of the displacement, on a rectangular grid.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import ufl
 from conftest import unit_grid
 from dolfinx import mesh
 from mpi4py import MPI
@@ -119,3 +120,43 @@ def test_what_flows_past_a_tool_takes_few_iterations():
     assert same.force[1] > 1e4
     np.testing.assert_allclose(tool.force, same.force, rtol=1e-6, atol=1e-6 * same.force[1])
     assert sum(counts) < 0.8 * sum(record.iterations for record in other.history)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.6])
+def test_ground_that_only_meets_what_it_lies_on_comes_to_rest_at_once(friction):
+    """No other support holds it, and the plates have not pressed it before the first step."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(0, 3.1, 0.25), np.arange(-0.5, 2.6, 0.25)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (3, 2)), 2, 1600.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    sand = mpm.materials.MohrCoulomb(20e6, 0.3, cohesion=100.0, friction_angle=30.0)
+    mpm.set_stress(sand, points, mpm.geostatic_stress(2.0, 16e3, 0.5))
+    F = mpm.momentum(sand, points, u, v)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
+    plates = [mpm.RigidBody(mpm.Box((a, -3), (b, 0))) for a, b in ((-0.5, 0.5), (0.5, 4.0))]
+    for plate in plates:
+        F += mpm.contact(plate, points, u, v, friction=friction, penalty=25.0)
+    bcs = mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-6)
+    record = problem.step()
+    assert record.halvings == 0
+    assert record.iterations <= 4
+    np.testing.assert_allclose(sum(plate.force[1] for plate in plates), -96e3, rtol=1e-5)
+    assert np.abs(points["x"] - points["x0"]).max(initial=0.0) < 1e-4
+
+
+def test_a_free_footing_that_begins_at_the_surface_carries_its_load():
+    """Its own equations had no stiffness before anything pressed it."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(-2, 2.1, 0.5), np.arange(-1, 0.6, 0.5)])
+    points = mpm.fill(grid, mpm.Box((-2, -1), (2, 0)), 2, 1700.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    free = (False, True, False)
+    footing = mpm.RigidBody(mpm.Box((-1, 0), (1, 0.5)), free=free, force=(0.0, -5e3))
+    F = mpm.momentum(mpm.materials.Hencky(50e6, 0.3), points, u, v)
+    F += mpm.contact(footing, points, u, v)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    record = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost").step()
+    assert record.halvings == 0
+    np.testing.assert_allclose(footing.force[1], 5e3, rtol=1e-6)
+    assert 0.24 < footing.position[1] < 0.25
