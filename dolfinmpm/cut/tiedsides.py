@@ -156,7 +156,9 @@ class TiedSides:
         """Largest volume of the points in a cell of the period over its own volume. Collective."""
         cell, volume = np.zeros(len(points), np.int64), np.ones(1)
         for k, line in enumerate(lattice.lines):
-            number = np.clip(np.searchsorted(line, points["x"][:, k], "right") - 1, 0, line.size - 2)
+            number = np.clip(
+                np.searchsorted(line, points["x"][:, k], "right") - 1, 0, line.size - 2
+            )
             sizes = np.diff(line)
             if k == self.axis:
                 number, sizes = number % self.count, sizes[: self.count]

@@ -140,12 +140,15 @@ def test_what_cannot_be_tied():
 @pytest.mark.parametrize("kind", ["aggregation", "weak-aggregation", "extended"])
 def test_nodes_that_follow_one_side_are_refused(kind):
     """Both sides of a body with aggregation had moved apart by 3 % of its displacements."""
-    with pytest.raises(ParameterError, match=f'"{kind}" makes nodes beside one side .* take "none"'):
+    with pytest.raises(
+        ParameterError, match=f'"{kind}" makes nodes beside one side .* take "none"'
+    ):
         layer("gimp", stabilisation=kind)
 
 
 @pytest.mark.parametrize(
-    ("width", "period", "what"), [(2, 3.0, "a gap"), (2, 1.0, "2 times as much"), (3, 2.0, "2 times")]
+    ("width", "period", "what"),
+    [(2, 3.0, "a gap"), (2, 1.0, "2 times as much"), (3, 2.0, "2 times")],
 )
 def test_a_period_that_is_not_the_length_of_the_body(width, period, what):
     grid = mpm.create_lattice(COMM, [range(9), range(5)])
