@@ -132,8 +132,8 @@ class TiedSides:
         kinds = [each.kind for each in stabilisations if each.constrains_nodes]
         if kinds:
             raise ParameterError(
-                f'stabilisation = "{kinds[0]}" makes nodes beside one side of the body follow those '
-                "within, and tied sides those of the other side: the ground would not repeat "
+                f'stabilisation = "{kinds[0]}" makes nodes beside one side of the body follow '
+                "those within, and tied sides those of the other side: the ground would not repeat "
                 'itself; take "none", or "ghost" with a lumped mass'
             )
         lattice = lattice_of(points.grid)
@@ -148,18 +148,17 @@ class TiedSides:
         if length < period - 2.0 * size or full > _FULL:
             what = f"{full:.3g} times as much as its cells hold" if full > _FULL else "a gap"
             raise ParameterError(
-                f"period = {period:g} m, and the body is {length:.6g} m long along the axis {axis}: "
-                f"ground that repeats itself so has {what}; give the length of the body as period"
+                f"period = {period:g} m, and the body is {length:.6g} m long along the axis "
+                f"{axis}: ground that repeats itself so has {what}; give the length of the body"
             )
 
     def _most_filled(self, points: MaterialPoints, lattice: Any) -> float:
         """Largest volume of the points in a cell of the period over its own volume. Collective."""
-        cell, volume = np.zeros(len(points), np.int64), np.ones(1)
+        cell: npt.NDArray[np.int64] = np.zeros(len(points), np.int64)
+        volume: Array = np.ones(1)
         for k, line in enumerate(lattice.lines):
-            number = np.clip(
-                np.searchsorted(line, points["x"][:, k], "right") - 1, 0, line.size - 2
-            )
-            sizes = np.diff(line)
+            x, sizes = points["x"][:, k], np.diff(line)
+            number = np.clip(np.searchsorted(line, x, "right") - 1, 0, sizes.size - 1)
             if k == self.axis:
                 number, sizes = number % self.count, sizes[: self.count]
             cell = cell * sizes.size + number

@@ -112,8 +112,8 @@ def _advice_on_rounding(problem: QuasiStatic) -> str:
     if not problem.bodies.all or reached < problem.tolerance:
         return ""
     return (
-        f"the body is {far:.3g} m from the origin, where positions are rounded to {rounding:.1g} m, "
-        f"and contact forces cannot balance to the tolerance {problem.tolerance:g}: subtract an "
+        f"the body is {far:.3g} m from the origin, where positions are rounded to {rounding:.1g} "
+        f"m, and contact forces cannot balance to the tolerance {problem.tolerance:g}: subtract an "
         f"origin near the body from all coordinates, or take tolerance={10 * reached:.0e}"
     )
 

@@ -35,6 +35,7 @@ def loose_piece(problem: QuasiStatic) -> str:
     Returns:
         The words, or an empty string if the body is one piece, or conditions hold all pieces.
     """
+    assert problem.here is not None
     first = problem.here.fields[0]
     space, basis, comm = first.space, first.basis, problem.comm
     if isinstance(basis, LeafBasis):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from conftest import Linearised, unit_grid
+from conftest import COMM, Linearised, unit_grid
 from dolfinx import fem, mesh
 from mpi4py import MPI
 

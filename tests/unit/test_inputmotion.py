@@ -132,7 +132,7 @@ def test_records_that_cannot_be(time, given, message):
 
 
 def test_two_velocities_cannot_be_corrected():
-    with pytest.raises(ParameterError, match="2 velocities .* at least 3"):
+    with pytest.raises(ParameterError, match=r"2 velocities .* at least 3"):
         mpm.InputMotion([0, 1], velocity=[0, 1]).corrected()
     assert mpm.InputMotion([0, 1], acceleration=[0, 1]).corrected().drift == pytest.approx(0.0)
 

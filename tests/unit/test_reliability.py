@@ -351,7 +351,7 @@ def test_a_field_does_not_depend_on_where_its_box_is():
     options = {"mean": 20e3, "coefficient": 0.3, "modes": 6}
     near = study.RandomField((0, 0), (10, 5), 4.0, **options)
     shift = np.array([5e6, 4.5e6])
-    far = study.RandomField(shift, shift + (10, 5), 4.0, **options)
+    far = study.RandomField(shift, shift + np.array([10, 5]), 4.0, **options)
     x, xi = np.array([(3.0, 2.0), (8.0, 4.5)]), near.sample(1)
     assert far.at(x + shift, xi) == pytest.approx(near.at(x, xi), rel=1e-8)
 

@@ -148,7 +148,7 @@ def test_nodes_that_follow_one_side_are_refused(kind):
 
 @pytest.mark.parametrize(
     ("width", "period", "what"),
-    [(2, 3.0, "a gap"), (2, 1.0, "2 times as much"), (3, 2.0, "2 times")],
+    [(2, 3.0, "a gap"), (2, 1.0, "2 times as much"), (3, 2.0, "2 ti")],
 )
 def test_a_period_that_is_not_the_length_of_the_body(width, period, what):
     grid = mpm.create_lattice(COMM, [range(9), range(5)])
@@ -165,7 +165,7 @@ def test_sides_that_lean_or_cut_cells_are_one_period_apart():
     grid = mpm.create_lattice(COMM, [range(10), range(5)])
     V = mpm.Space(grid, "gimp")
     for shift, lean in ((0.2, 0.0), (0.5, 0.0), (0.0, 2.0)):
-        corners = np.array([(3, 0), (5, 0), (5 + lean, 4), (3 + lean, 4)]) + (shift, 0)
+        corners = np.array([(3, 0), (5, 0), (5 + lean, 4), (3 + lean, 4)]) + np.array([shift, 0])
         points = mpm.fill(grid, mpm.Polygon(corners), 2, 1.0)
         F = mpm.momentum(mpm.materials.Hencky(E=2.0, nu=0.0), points, V.increment, V.test)
         bcs, sides = mpm.fixed(V, "bottom"), mpm.tied(V, period=2.0)
