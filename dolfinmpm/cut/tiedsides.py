@@ -142,9 +142,12 @@ class TiedSides:
         h = float(line[-1] - line[0]) / (line.size - 1)
         x, half, period = points["x"], points["l"], self.count * h
         low, high = x[:, axis] - half[:, axis], x[:, axis] + half[:, axis]
-        ends = [high.max(initial=-np.inf), -low.min(initial=np.inf), half.max(initial=0.0)]
-        *ends, size = points.comm.allreduce(np.array(ends), op=MPI.MAX)
-        length, full = float(sum(ends)), self._most_filled(points, lattice)
+        ends = np.array(
+            [high.max(initial=-np.inf), -low.min(initial=np.inf), half.max(initial=0.0)]
+        )
+        points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        length, size = float(ends[0] + ends[1]), float(ends[2])
+        full = self._most_filled(points, lattice)
         if length < period - 2.0 * size or full > _FULL:
             what = f"{full:.3g} times as much as its cells hold" if full > _FULL else "a gap"
             raise ParameterError(
