@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numba
@@ -315,7 +316,7 @@ class GridAssembler:
         for block in [*self._vectors, *(self._jacobian or {}).values()]:
             block.regrid()
 
-    def tangent(self, fields: Sequence[ActiveField]) -> list[Blocks]:
+    def tangent(self, fields: Sequence[ActiveField], anywhere: bool = False) -> list[Blocks]:
         """Tangent of the internal terms between the solver's nodes. Collective.
 
         Call `attach` for the fields before. Nonlinear terms take the increments from the DOLFINx
@@ -323,6 +324,8 @@ class GridAssembler:
 
         Args:
             fields: Active fields.
+            anywhere: Whether blocks have ones wherever a tangent at other increments may have an
+                entry. Products of sparse matrices leave out what is zero at the present ones.
         """
         made = []
         entities = self._attached or []
@@ -339,6 +342,9 @@ class GridAssembler:
                 block.attach(entities[i], basis)
                 T = [fields[i].C, fields[j].C]
             whole = Blocks(i, j, block.rows, block.columns, block.matrix())
+            if anywhere:
+                whole = replace(whole, values=np.ones_like(whole.values))
+                T = [None if each is None else abs(each) for each in T]
             same = T[0] is None and T[1] is None
             made.append(whole if same else reduce_blocks(T[0], T[1], whole))
         return made

@@ -251,19 +251,27 @@ class PointTable(Uncopied):
         """Set a field's values on this rank; a single value is for all points.
 
         The next step checks the values, and raises on all ranks if a density is negative, say.
-        Setting "stress" is collective.
+        Setting "stress" or "id" is collective.
 
         Raises:
             FieldShapeError: The array has another shape.
             ParameterError: Values are no numbers, or no whole numbers for such a field; or they are
                 stresses of points that have moved.
         """
-        if name != "stress":
+        if name not in ("stress", "id"):
             self._set(name, values)
             return
         # points of one rank alone may have moved, or may be fewer than the values
-        check_same_call(self.comm, "setting points['stress']")
+        check_same_call(self.comm, f"setting points['{name}']")
+        old = self[name].copy()
         call_together(self.comm, lambda: self._set(name, values))
+        every = np.concatenate(self.comm.allgather(self[name])) if name == "id" else np.arange(1)
+        if every.min(initial=0) < 0 or np.unique(every).size < every.size:
+            self.fields[name] = old
+            raise ParameterError(
+                f"'id' identifies the points, and must be {self.total} different numbers from 0 on "
+                "all ranks together; for other numbers add a field, points.add_field"
+            )
 
     def _set(self, name: str, values: npt.ArrayLike) -> None:
         target = self[name]
@@ -276,12 +284,6 @@ class PointTable(Uncopied):
             raise ParameterError(
                 "'stress' cannot be set any more: the points have moved, and the next step "
                 "computes it from their strain. Call mpm.set_stress(law, points, stress)"
-            )
-        several = self.total if np.ndim(values) == 0 else len(self)
-        if name == "id" and np.unique(values).size < several:
-            raise ParameterError(
-                "'id' identifies the points, and two points would have the same number; for other "
-                "numbers add a field, points.add_field"
             )
         if np.ma.is_masked(values):
             raise ParameterError(

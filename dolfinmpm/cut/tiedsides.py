@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, number
 from dolfinmpm._platform.collective import collective
@@ -16,11 +18,16 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
-from dolfinmpm.grid.lattice import require_lattice
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.stabilisations import Stabilisation
+from dolfinmpm.grid.lattice import lattice_of, require_lattice
 
 __all__ = ["TiedSides", "tied"]
 
 Array = npt.NDArray[np.float64]
+# Share of a period's cells that bodies may fill. Points at cut sides count in the cells of their
+# centres, so that it may be a little above 1.
+_FULL = 1.6
 
 
 @collective
@@ -37,7 +44,7 @@ def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
 
     Ghost penalties take the cells beside tied sides for cut cells, and would stiffen them. So the
     ghost penalty of the mass is 0 by default here. Where the surface cuts cells, take a lumped
-    mass.
+    mass. Aggregation is refused: its nodes would follow one side of the body, and not the other.
 
     Args:
         space: Space of the displacement, on a rectangular grid with equal cells along `axis`.
@@ -114,6 +121,54 @@ class TiedSides:
     def __call__(self, stencils: Any, nodes: npt.NDArray[np.int32]) -> Any:
         """Not in use: the constraints need the basis, see `of_basis`."""
         raise ParameterError("tied sides are for the argument prolongation of a problem")
+
+    def check(self, points: MaterialPoints, stabilisations: Sequence[Stabilisation]) -> None:
+        """Raise ParameterError if a body or a stabilisation does not go with the ties. Collective.
+
+        Args:
+            points: Material points.
+            stabilisations: The stabilisations of the fields.
+        """
+        kinds = [each.kind for each in stabilisations if each.constrains_nodes]
+        if kinds:
+            raise ParameterError(
+                f'stabilisation = "{kinds[0]}" makes nodes beside one side of the body follow '
+                "those within, and tied sides those of the other side: the ground would not repeat "
+                'itself; take "none", or "ghost" with a lumped mass'
+            )
+        lattice = lattice_of(points.grid)
+        assert lattice is not None
+        line, axis = lattice.lines[self.axis], self.axis
+        h = float(line[-1] - line[0]) / (line.size - 1)
+        x, half, period = points["x"], points["l"], self.count * h
+        low, high = x[:, axis] - half[:, axis], x[:, axis] + half[:, axis]
+        ends = np.array(
+            [high.max(initial=-np.inf), -low.min(initial=np.inf), half.max(initial=0.0)]
+        )
+        points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        length, size = float(ends[0] + ends[1]), float(ends[2])
+        full = self._most_filled(points, lattice)
+        if length < period - 2.0 * size or full > _FULL:
+            what = f"{full:.3g} times as much as its cells hold" if full > _FULL else "a gap"
+            raise ParameterError(
+                f"period = {period:g} m, and the body is {length:.6g} m long along the axis "
+                f"{axis}: ground that repeats itself so has {what}; give the length of the body"
+            )
+
+    def _most_filled(self, points: MaterialPoints, lattice: Any) -> float:
+        """Largest volume of the points in a cell of the period over its own volume. Collective."""
+        cell: npt.NDArray[np.int64] = np.zeros(len(points), np.int64)
+        volume: Array = np.ones(1)
+        for k, line in enumerate(lattice.lines):
+            x, sizes = points["x"][:, k], np.diff(line)
+            number = np.clip(np.searchsorted(line, x, "right") - 1, 0, sizes.size - 1)
+            if k == self.axis:
+                number, sizes = number % self.count, sizes[: self.count]
+            cell = cell * sizes.size + number
+            volume = np.multiply.outer(volume, sizes).ravel()
+        filled = np.bincount(cell, points["V"], volume.size).astype(np.float64)
+        points.comm.Allreduce(MPI.IN_PLACE, filled, op=MPI.SUM)
+        return float((filled / volume).max())
 
     def of_basis(self, basis: LatticeBasis, nodes: npt.NDArray[np.int32]) -> Any:
         """The matrix C, shape (nodes, nodes): each node follows the first active one of its class.

@@ -72,7 +72,7 @@ class Sides:
 
     Raises:
         ParameterError: A condition constrains all nodes of a face in a direction of its damping.
-            Or two faces are at one side.
+            Or two faces are at one side. Or a column of ground has other heights than the body.
     """
 
     def __init__(
@@ -93,6 +93,9 @@ class Sides:
         self._box: Array = np.zeros((2, points.gdim))
         if has_columns(faces):
             self._box = _ends(points)
+            for face in faces:
+                if face.column is not None:
+                    face.column.check_beside(points, face, self._box)
         # a basis belongs to one partition of the lattice
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
 

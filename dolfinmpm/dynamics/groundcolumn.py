@@ -148,6 +148,31 @@ class GroundColumn:
         stress = points["stress"][:, :d, :d].reshape(n, d * d)
         return self._means(points, np.hstack([points["x"], points["velocity"], stress]))
 
+    def check_beside(self, points: Any, face: Any, box: Array) -> None:
+        """Raise ParameterError unless a body's side has the heights of the column. Collective.
+
+        Args:
+            points: Points of the body.
+            face: The side, see `dolfinmpm.dynamics.faces.Face`.
+            box: Lower and upper ends of the body (m), shape (2, d).
+        """
+        x, half = points["x"], points["l"]
+        outward = 1.0 if face.end else -1.0
+        there = outward * (x + outward * half - box[face.end])[:, face.axis]
+        side = there > -half[:, face.axis]
+        ends = np.array([x + half, -(x - half)])[:, side, -1].max(axis=1, initial=-np.inf)
+        points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+        high, low = float(ends[0]), -float(ends[1])
+        top, bottom = self.height[-1] + self.half[-1], self.height[0] - self.half[0]
+        row = 2.0 * float(self.half.max())
+        if max(abs(high - top), abs(low - bottom)) > (1.0 + _SAME) * row:
+            raise ParameterError(
+                f"the body is from {low:.6g} to {high:.6g} m high at the free-field side "
+                f"'{face.where}', and the column beside it from {bottom:.6g} to {top:.6g} m, which "
+                f"is more than a row of points apart, {row:.3g} m: give both the same heights; "
+                "sides of different heights take a column each"
+            )
+
     def at(self, t: float) -> tuple[Array, Array, Array]:
         """Displacements (m), velocities (m/s) and stresses (Pa) of the rows at a time.
 
@@ -157,9 +182,14 @@ class GroundColumn:
             t: The time (s).
 
         Raises:
-            ParameterError: The record ends before.
+            ParameterError: The record ends before, or begins later.
         """
-        last = float(self.time[-1])
+        first, last = float(self.time[0]), float(self.time[-1])
+        if t < first - 1e-9 * abs(last):
+            raise ParameterError(
+                f"t = {t:g} s is before the start of the free field's column, {first:g} s: make "
+                "mpm.GroundColumn of a problem that has taken no steps, or begin both at one time"
+            )
         if t > last + 1e-9 * abs(last):
             raise ParameterError(
                 f"t = {t:g} s is after the end of the free field's column, {last:g} s: take a "

@@ -194,7 +194,15 @@ class InputMotion(VelocityByTime):
 
         A parabola that is 0 at the start is subtracted from the velocity, which is a line in the
         acceleration. Its two coefficients follow from both conditions at the end.
+
+        Raises:
+            ParameterError: A record of velocities has two samples only.
         """
+        if self._kind == "velocity" and self.time.size < 3:
+            raise ParameterError(
+                "a record of 2 velocities has nothing between its ends that a correction could "
+                "change, and must have at least 3: give more samples"
+            )
         t = self.time - self.time[0]
         T = float(t[-1])
         # velocity b t + c t², of which velocity and displacement at T are those of the record

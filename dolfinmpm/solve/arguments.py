@@ -32,17 +32,18 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.stabilisations import KINDS, Stabilisation
+from dolfinmpm.cut.tiedsides import TiedSides
 
 __all__ = [
     "ELSEWHERE",
     "as_read",
     "changed_list",
     "check_bcs_and_loads",
-    "check_callable",
     "check_conditions",
     "check_limits",
     "check_path",
     "check_petsc_options",
+    "check_prolongation",
     "check_spaces",
     "check_updates",
     "increments_of",
@@ -231,10 +232,14 @@ def check_spaces(spaces: Sequence[Space]) -> None:
         )
 
 
-def check_callable(name: str, value: Any) -> None:
-    """Raise ParameterError unless the value is a function or None."""
-    if value is not None:
-        check_function(name, value)
+def check_prolongation(
+    given: Any, points: MaterialPoints, stabilisations: Sequence[Stabilisation]
+) -> None:
+    """Raise ParameterError unless a prolongation goes with the body. Collective."""
+    if given is not None:
+        check_function("prolongation", given)
+    if isinstance(given, TiedSides):
+        given.check(points, stabilisations)
 
 
 def check_updates(updates: Any, points: MaterialPoints) -> dict[str, Expr]:

@@ -19,6 +19,7 @@ from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activecells import active_on_grid
+from dolfinmpm.solve.loosepieces import loose_piece
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Failed
@@ -33,6 +34,8 @@ FIRST = 0.125
 # Relative force out of balance at the start of the smallest substep, by its share of the load, that
 # is not the load's own
 _UNBALANCED = 4.0
+# Rounding of positions, over the half-length of a point, that a balance of contact forces feels
+_ROUNDINGS = 4.0
 
 
 def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed:
@@ -81,7 +84,8 @@ def advice_on(problem: QuasiStatic) -> str:
         return text
     free = free_motions(problem.bcs, first.space, active_on_grid(first), points.axisymmetric)
     if not free:
-        return text
+        loose = "" if problem.scheme.inertia else loose_piece(problem)
+        return f"{loose}; or {text}" if loose else _advice_on_rounding(problem) or text
     if not problem.bcs:
         return (
             "no boundary conditions are given, rigid motions are free: hold the body with "
@@ -90,6 +94,27 @@ def advice_on(problem: QuasiStatic) -> str:
     return (
         f"no condition holds the body's rigid motions {', '.join(free)}: add one unless a term of "
         f"the form holds them, or {text}"
+    )
+
+
+def _advice_on_rounding(problem: QuasiStatic) -> str:
+    """Advice where positions are rounded so much that contact cannot balance, or "". Collective.
+
+    Gaps are differences of positions. Their rounding, over the sizes of the points, is that of the
+    forces.
+    """
+    points = problem.points
+    ends = np.array([np.abs(points["x"]).max(initial=0.0), -points["l"].min(initial=np.inf)])
+    points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+    far, size = float(ends[0]), -float(ends[1])
+    rounding = float(np.spacing(far))
+    reached = _ROUNDINGS * rounding / size
+    if not problem.bodies.all or reached < problem.tolerance:
+        return ""
+    return (
+        f"the body is {far:.3g} m from the origin, where positions are rounded to {rounding:.1g} "
+        f"m, and contact forces cannot balance to the tolerance {problem.tolerance:g}: subtract an "
+        f"origin near the body from all coordinates, or take tolerance={10 * reached:.0e}"
     )
 
 

@@ -46,8 +46,8 @@ from dolfinmpm.solve.arguments import (
     ELSEWHERE,
     as_read,
     check_bcs_and_loads,
-    check_callable,
     check_conditions,
+    check_prolongation,
     check_spaces,
     check_updates,
     increments_of,
@@ -131,7 +131,7 @@ class Problem(Uncopied, ReadOnce):
         check_room(points)
         updates = check_updates(updates, points)
         stabilisations = stabilisations_of(stabilisation, len(spaces))
-        check_callable("prolongation", prolongation)
+        check_prolongation(prolongation, points, stabilisations)
         self.points = points
         self.history: list[StepRecord] = []
         stabilisations = setup.with_moduli(stabilisations, spaces, form, points)

@@ -34,6 +34,8 @@ _PER_LENGTH, _MOST = 4, 2500
 # Kernels with a cusp lose much of their variance between nodes, in proportion to the distance:
 # twice as many nodes per direction, some per mode, while the eigenvalues take about a second
 _CUSPS, _PER_MODE, _FINE = ("exponential",), 4, 1600
+# Share of the largest entry of a mode from which an entry counts as a peak
+_PEAK = 1.0 - 1e-6
 # Entries of a matrix of correlations that are in memory at once
 _AT_ONCE = 2_000_000
 
@@ -91,8 +93,15 @@ class RandomField:
         name: str = "xi",
     ):
         self._low, self._high = coordinates("low", low), coordinates("high", high)
-        gdim = self._low.size
-        if self._high.size != gdim or not (self._high > self._low).all():
+        gdim, ends = self._low.size, (self._low, self._high)
+        if any(end.shape != (gdim,) or not 1 <= gdim <= 3 for end in ends) or not all(
+            np.isfinite(end).all() for end in ends
+        ):
+            raise ParameterError(
+                f"low = {shown(low)} and high = {shown(high)} must be two corners of a box, with 1 "
+                "to 3 finite coordinates (m) each, such as (0, 0) and (10, 5)"
+            )
+        if not (self._high > self._low).all():
             raise ParameterError(
                 f"high = {shown(high)} must be above low = {shown(low)} in each direction"
             )
@@ -145,14 +154,17 @@ class RandomField:
         numbers = self._numbers(count)
         total = int(np.prod(numbers))
         widths = (self._high - self._low) / numbers
-        lines = [a + (np.arange(n) + 0.5) * w for a, n, w in zip(self._low, numbers, widths)]
+        # from the corner of the box: far from the origin, distances would lose digits
+        lines = [(np.arange(n) + 0.5) * w for n, w in zip(numbers, widths)]
         self._nodes = np.stack([x.ravel() for x in np.meshgrid(*lines, indexing="ij")], axis=-1)
         # equal weights: eigenvalues as shares of the variance
         matrix = self._correlation(self._nodes) / total
         values, vectors = eigh(matrix, subset_by_index=(total - count, total - 1))
         values, vectors = np.maximum(values[::-1], 1e-14), vectors[:, ::-1]
-        # the sign of an eigenvector is chance
-        at = np.argmax(np.abs(vectors), axis=0)
+        # the sign of an eigenvector is chance; in a mode with two equal peaks of opposite signs, so
+        # is which of them is larger: the first one decides
+        size = np.abs(vectors)
+        at = np.argmax(size > _PEAK * size.max(axis=0), axis=0)
         vectors = vectors * np.sign(vectors[at, np.arange(count)])
         # √λ φ(x) = Σ C(x, xⱼ) vⱼ / √(λ total)
         self._vectors = vectors / np.sqrt(values * total)
@@ -176,7 +188,8 @@ class RandomField:
             xi: Name → ξ. Names that are not there count as zero; other names are left alone.
 
         Raises:
-            ParameterError: The places have another dimension than the box.
+            ParameterError: The places have another dimension than the box, or one of them is not
+                finite or more than a correlation length outside of it; or a ξ is no number.
         """
         places, gdim = coordinates("x", x), self._low.size
         fits = places.ndim > 0 and (gdim == 1 or places.shape[-1] == gdim or places.shape == (0,))
@@ -186,13 +199,36 @@ class RandomField:
                 f"the field has {gdim} coordinates, so give those of each place"
             )
         places = places.reshape(-1, gdim)
-        given = np.array([xi.get(name, 0.0) for name in self.names])
+        self._check_places(places)
+        if not isinstance(xi, Mapping):
+            raise ParameterError(
+                f"xi = {shown(xi)} must be a dictionary of numbers, such as field.sample(seed=1)"
+            )
+        given = np.array([number(f"xi['{name}']", xi.get(name, 0.0)) for name in self.names])
+        places = places - self._low
         at_nodes = self._vectors @ given
         # part by part: a matrix of all places and nodes may not fit in memory
         parts = np.array_split(places, max(1, math.ceil(places.size * len(at_nodes) / _AT_ONCE)))
         modes = np.concatenate([self._correlation(part) @ at_nodes for part in parts])
         exponent = self._middle + self._deviation * modes
         return np.asarray(np.exp(exponent) if self._lognormal else exponent)
+
+    def _check_places(self, places: Array) -> None:
+        """Raise an error about places that have next to nothing of the field.
+
+        Raises:
+            ParameterError: A place is not finite, or more than a correlation length outside the
+                box: the modes fade there, and the field would be no random one.
+        """
+        out = np.maximum(self._low - places, places - self._high) / self._lengths
+        bad = np.flatnonzero(~(out.max(axis=1, initial=0.0) <= 1.0))
+        if bad.size:
+            box = f"the box of the field, {self._low} to {self._high} m"
+            raise ParameterError(
+                f"x = {places[bad[0]]} m must be finite, and at most a correlation length, "
+                f"{self._lengths} m, outside {box}, where its modes fade ({bad.size} such places "
+                "here): make the box as large as the body"
+            )
 
     def sample(self, seed: int) -> dict[str, float]:
         """Random ξ by their names, the same for the same seed and on all ranks.

@@ -60,7 +60,8 @@ class GridTerm(Term):
             return {}
         self.assembler.attach(fields)
         linear = self._kind != "stiffness" or self.assembler.terms.linear
-        return {self._kind if linear else "pattern": self.assembler.tangent(fields)}
+        made = self.assembler.tangent(fields, anywhere=not linear)
+        return {self._kind if linear else "pattern": made}
 
     def on(self, here: Activation) -> ActiveGridTerm | None:
         """See `Term`: None where constant blocks are all that it has. Collective."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from conftest import Linearised, unit_grid
+from conftest import COMM, Linearised, unit_grid
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
@@ -127,3 +127,15 @@ def test_facets_of_a_field_are_those_of_the_cells_that_it_sees():
     assert cells == [12, 8]
     rows = [next(iter(f.entities.values())) for f in here.fields]
     assert not np.array_equal(rows[0], rows[1])
+
+
+@pytest.mark.parametrize("wrong", ["negative", "equal"])
+def test_numbers_of_points_are_different_and_not_negative(wrong):
+    """Families read parents and places from the numbers: negative ones had never merged."""
+    grid = mpm.create_lattice(COMM, [range(3), range(3)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1.0)
+    kept = points["id"].copy()
+    with pytest.raises(ParameterError, match="'id' identifies the points, and must be 16 differ"):
+        points["id"] = kept - 1 if wrong == "negative" else kept // 2
+    assert np.array_equal(points["id"], kept)
+    points["id"] = kept[::-1].copy()

@@ -163,3 +163,24 @@ def test_bad_arguments():
     solid = mpm.Space(mpm.create_lattice(COMM, [range(3)] * 3), "gimp")
     with pytest.raises(ParameterError, match="same dimension"):
         mpm.free_field(solid, "left", column=column)
+
+
+def test_a_column_of_other_heights_or_times_is_refused():
+    """Half a column would push half a side, and one of later times would push before it moved."""
+    column = column_of("lumped", 0.4, 0.2)
+    grid = mpm.create_lattice(COMM, [range(7), range(15)])
+    for top in (8, 14):
+        points = mpm.fill(grid, mpm.Box((1, 0), (3, top)) | mpm.Box((3, 0), (6, H)), 2, 1.0)
+        V = mpm.Space(grid, "gimp")
+        F = mpm.momentum(mpm.materials.Hencky(2.0, 0.0), points, V.increment, V.test)
+        # the other side fits
+        mpm.Newmark(F, V.increment, points, mpm.free_field(V, "right", column=column))
+        message = f"from 0 to {top} m high at the free-field side 'left', .* from 0 to 12 m"
+        with pytest.raises(ParameterError, match=message):
+            mpm.Newmark(F, V.increment, points, mpm.free_field(V, "left", column=column))
+    _, problem = ground(0.0, 1.0, mpm.Newmark, 1.0, basis="gimp", ghost_mass=0.0)
+    problem.step(0.4)
+    late = mpm.GroundColumn(problem, 0.8, dt=0.2)
+    _, problem = ground(0.0, 4.0, mpm.Newmark, late, basis="gimp")
+    with pytest.raises(ParameterError, match=r"t = .* s is before the start .* 0.4 s"):
+        problem.step(0.2)

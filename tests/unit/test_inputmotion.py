@@ -131,6 +131,12 @@ def test_records_that_cannot_be(time, given, message):
         mpm.InputMotion(time, **given)
 
 
+def test_two_velocities_cannot_be_corrected():
+    with pytest.raises(ParameterError, match=r"2 velocities .* at least 3"):
+        mpm.InputMotion([0, 1], velocity=[0, 1]).corrected()
+    assert mpm.InputMotion([0, 1], acceleration=[0, 1]).corrected().drift == pytest.approx(0.0)
+
+
 def test_a_side_moves_by_a_record():
     """A side takes the velocity by the trapezoidal rule, which is exact between samples."""
     t = np.linspace(0.0, 1.0, 11)

@@ -344,3 +344,30 @@ def test_a_limit_that_is_never_reached(openturns):
     match = r"'margin' is .* at the medians, and may not fall to zero .*study\.monte_carlo"
     with pytest.raises(ConvergenceError, match=match):
         study.reliability(planned(lambda m: m["E"] + 1e5), given)
+
+
+def test_a_field_does_not_depend_on_where_its_box_is():
+    """The signs of modes with two equal peaks were chance, and distances lost digits."""
+    options = {"mean": 20e3, "coefficient": 0.3, "modes": 6}
+    near = study.RandomField((0, 0), (10, 5), 4.0, **options)
+    shift = np.array([5e6, 4.5e6])
+    far = study.RandomField(shift, shift + np.array([10, 5]), 4.0, **options)
+    x, xi = np.array([(3.0, 2.0), (8.0, 4.5)]), near.sample(1)
+    assert far.at(x + shift, xi) == pytest.approx(near.at(x, xi), rel=1e-8)
+
+
+def test_places_far_outside_the_box_and_odd_numbers_are_refused():
+    options = {"mean": 1.0, "coefficient": 0.3, "modes": 2}
+    field = study.RandomField((0, 0), (4, 2), (2.0, 1.0), **options)
+    assert np.isfinite(field.at([(5.9, 2.9)], field.sample(1))).all()
+    for x in ((6.1, 1.0), (1.0, -1.1), (np.nan, 1.0), (1000.0, 1000.0)):
+        with pytest.raises(ParameterError, match=r"at most a correlation length, \[2\. 1\.\] m"):
+            field.at([x], {})
+    with pytest.raises(ParameterError, match=r"xi = \[1.0, 2.0\] must be a dictionary"):
+        field.at([(1.0, 1.0)], [1.0, 2.0])
+    for wrong in (np.nan, "a"):
+        with pytest.raises(ParameterError, match=r"xi\['xi1'\] = "):
+            field.at([(1.0, 1.0)], {"xi1": wrong})
+    for low, high in ((0.0, 4.0), ([[0, 0]], [[4, 2]]), ((0, 0), (np.inf, 2)), ((), ())):
+        with pytest.raises(ParameterError, match="must be two corners of a box"):
+            study.RandomField(low, high, 2.0, **options)

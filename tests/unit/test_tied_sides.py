@@ -137,6 +137,41 @@ def test_what_cannot_be_tied():
         mpm.tied(refined, period=1.0)
 
 
+@pytest.mark.parametrize("kind", ["aggregation", "weak-aggregation", "extended"])
+def test_nodes_that_follow_one_side_are_refused(kind):
+    """Both sides of a body with aggregation had moved apart by 3 % of its displacements."""
+    with pytest.raises(
+        ParameterError, match=f'"{kind}" makes nodes beside one side .* take "none"'
+    ):
+        layer("gimp", stabilisation=kind)
+
+
+@pytest.mark.parametrize(
+    ("width", "period", "what"),
+    [(2, 3.0, "a gap"), (2, 1.0, "2 times as much"), (3, 2.0, "2 ti")],
+)
+def test_a_period_that_is_not_the_length_of_the_body(width, period, what):
+    grid = mpm.create_lattice(COMM, [range(9), range(5)])
+    points = mpm.fill(grid, mpm.Box((3, 0), (3 + width, 4)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=2.0, nu=0.0), points, V.increment, V.test)
+    bcs, sides = mpm.fixed(V, "bottom"), mpm.tied(V, period=period)
+    message = f"period = {period:g} m, and the body is {width} m long along the axis 0: .* {what}"
+    with pytest.raises(ParameterError, match=message):
+        mpm.Newmark(F, V.increment, points, bcs, prolongation=sides)
+
+
+def test_sides_that_lean_or_cut_cells_are_one_period_apart():
+    grid = mpm.create_lattice(COMM, [range(10), range(5)])
+    V = mpm.Space(grid, "gimp")
+    for shift, lean in ((0.2, 0.0), (0.5, 0.0), (0.0, 2.0)):
+        corners = np.array([(3, 0), (5, 0), (5 + lean, 4), (3 + lean, 4)]) + np.array([shift, 0])
+        points = mpm.fill(grid, mpm.Polygon(corners), 2, 1.0)
+        F = mpm.momentum(mpm.materials.Hencky(E=2.0, nu=0.0), points, V.increment, V.test)
+        bcs, sides = mpm.fixed(V, "bottom"), mpm.tied(V, period=2.0)
+        assert mpm.Newmark(F, V.increment, points, bcs, prolongation=sides).step(0.1).unknowns > 0
+
+
 def test_a_body_at_the_end_of_the_grid_is_refused():
     _, problem = layer("gimp", free=0)
     with pytest.raises(ParameterError, match="need a free cell beside the body"):

@@ -52,6 +52,7 @@ CASES = {
         stabilisations.stabilisations_bspline2,
         stabilisations.facets_of_even_ranks,
         stabilisations.facets_of_few_ranks,
+        stabilisations.nonlinear_over_cells,
         stabilisations.soft_leaves,
         stabilisations.splines_on_leaves,
         stabilisations.lattice_multigrid,

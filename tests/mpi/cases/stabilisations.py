@@ -56,6 +56,21 @@ def stabilisations_bspline2():
     return _stabilisations("bspline2")
 
 
+def nonlinear_over_cells():
+    """A form over active cells whose tangent is zero at first, and later has entries anywhere."""
+    figures = {}
+    for basis in ("gimp", "bspline2"):
+        grid = mpm.create_lattice(COMM, [np.arange(0.0, 6.1, 0.5)] * 2)
+        points = mpm.fill(grid, mpm.Box((0, 0), (4.1, 3.1)), 2, 1.0)
+        V = mpm.Space(grid, basis)
+        u, v, g = V.increment, V.test, fem.Constant(grid, (0.0, 0.0))
+        F = hencky(points, V, ghost=False, E=100.0) - ufl.inner(g, v) * points.dX
+        F += 50.0 * ufl.inner(u, u) * ufl.inner(u, v) * points.dC
+        _, figures[basis] = run(points, V, F, mpm.fixed(V, "bottom"), [(0.1, -0.5)], g)
+        figures[basis].pop("moved")
+    return figures
+
+
 def soft_leaves():
     """Soft stiffness of leaves, whose owners are on several ranks, with hanging nodes."""
     grid = mpm.create_lattice(COMM, [np.arange(10.0), np.arange(10.0)])
