@@ -88,7 +88,9 @@ def _ends(x: Array, half: Array, reach: Array) -> tuple[Array, Array]:
         reach: Offsets to the faces (m), shape (n, gdim).
     """
     each = np.arange(len(x))
-    axis = np.argmax(np.abs(reach) / half, axis=1) if x.size else np.empty(0, np.intp)
+    # a point may be thin in a direction, without a half-length
+    share = np.divide(np.abs(reach), half, out=np.zeros_like(reach), where=half > 0.0)
+    axis = np.argmax(share, axis=1) if x.size else np.empty(0, np.intp)
     limit = half[each, axis]
     step = np.clip(reach[each, axis], -limit, limit)
     left = limit - np.abs(step)

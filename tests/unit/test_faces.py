@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, FormError
-from dolfinmpm.basis.facestencils import at_faces
+from dolfinmpm.basis.facestencils import _ends, at_faces
 from dolfinmpm.basis.stencils import selected
 from dolfinmpm.materials import Hencky, NeoHookean
 
@@ -167,6 +167,14 @@ def test_faces_see_the_linear_functions_at_the_ends_of_their_domains():
         for height in np.unique(y[nodes]):
             there = max(0.0, 1 - abs(1.04 - height) * 8)
             assert N[y[nodes] == height].sum() == pytest.approx(there, abs=1e-12)
+
+
+def test_points_without_a_length_in_a_direction_have_faces_across_the_other():
+    """The axis of the face had been that without a length, by 0/0."""
+    x, half, reach = np.zeros((1, 2)), np.array([[0.0, 0.1]]), np.array([[0.0, 0.1]])
+    to, left = _ends(x, half, reach)
+    np.testing.assert_array_equal(to, reach)
+    np.testing.assert_array_equal(left, 0.0)
 
 
 def test_a_load_that_is_not_finite_names_its_point():
