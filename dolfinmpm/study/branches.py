@@ -19,6 +19,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.assembly.state import HasState, Local, OfCells, gathered, given_back
+from dolfinmpm.body.pointchecks import astray
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.explicit import Explicit
 from dolfinmpm.kinematics.walls import Wall
@@ -214,6 +215,9 @@ def mirror(base: RunState, good: RunState, bad: Sequence[Problem]) -> bool:
                 points.fields[name] = _mirrored(a[name], b[name])
         points.partition = partition
         points.recount()
+        # the mirror image of a point beside a grid line may be in another cell
+        if bad[0].comm.allreduce(astray(points) is not None, op=MPI.LOR):
+            points.locate()
     for problem, known, more, share in zip(bad, base.kept, good.kept, base.shares):
         given_back(_keeping(problem), {k: _mirrored(v, more.get(k, v)) for k, v in known.items()})
         problem.here = None

@@ -103,5 +103,5 @@ def test_a_cone_in_water_is_the_same_on_two_ranks():
     assert not one["reason"]
     # one step is halved: it begins from increments of the last step that lead it away
     assert one["halvings"] == two["halvings"] <= 2
-    assert one["newton_iterations"] == two["newton_iterations"] <= 90
+    assert one["newton_iterations"] == two["newton_iterations"] <= 100
     np.testing.assert_allclose(two["factors"], one["factors"], rtol=1e-8)
