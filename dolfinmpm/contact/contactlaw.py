@@ -3,8 +3,11 @@
 A rigid surface has the gap g, the outward normal n and H = ∇n at a contact point at ξ. All
 quantities are in the frame of the body. So a motion of the body itself is no slip:
 
-    p = max(0, λ − ε_N g),    w = t_n − ε_T (ξ − ξ_n),    t = P w if |P w| ≤ μ p,
-    t = μ p P w/|P w| else,    f = p n + t,    P = I − n ⊗ n,
+    p = max(0, λ − ε_N g),    w = t_n − ε_T (ξ − ξ_n),    t = P w if |P w| ≤ T,
+    t = T P w/|P w| else,    T = min(μ p, τ A),    f = p n + t,    P = I − n ⊗ n.
+
+The largest shear stress τ is a property of clay: α c_u at the interface, however high the pressure.
+A is the area of the contact point. Without τ, T = μ p is Coulomb's friction.
 
 This is the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
 Mechanics, 2006, ch. 10; AMPSSIE uses it in the material point method). The derivative of f by ξ is
@@ -51,6 +54,7 @@ class ContactLaw:
         stiffness: Penalty per area κ (Pa/m), or None.
         slip_share: ε_T/ε_N.
         penetration: Largest penetration (m), bounded by multipliers, or None.
+        shear_limit: Largest shear stress τ (Pa), or None.
 
     Raises:
         ParameterError: A parameter has the wrong type or a value outside its range.
@@ -61,6 +65,7 @@ class ContactLaw:
     stiffness: float | None
     slip_share: float
     penetration: float | None
+    shear_limit: float | None = None
 
     def __post_init__(self) -> None:
         # frozen: the number is kept as a float
@@ -72,14 +77,26 @@ class ContactLaw:
         number("slip_stiffness", self.slip_share, 0.0)
         if not self.friction:
             refuse_idle("slip_stiffness", self.slip_share, 0.5, "it is of friction: give friction=")
+            refuse_idle("shear_limit", self.shear_limit, None, "it bounds friction: give friction=")
+        if self.shear_limit is not None:
+            number("shear_limit", self.shear_limit, 0.0, unit="Pa")
         if self.penetration is not None:
             number("penetration", self.penetration, 0.0, unit="m")
+
+    def largest_slip_forces(self, areas: Array) -> Array:
+        """τ A at contact points (N), shape (m,); infinite without a limit.
+
+        Args:
+            areas: Areas A of the contact points (m^(d-1)), shape (m,).
+        """
+        limit = math.inf if self.shear_limit is None else self.shear_limit
+        return np.full(areas.shape, math.inf) if math.isinf(limit) else limit * areas
 
 
 @numba.njit(cache=True, error_model="numpy")
 def contact_forces(
     gap, normal, curvature, at, start, before, multiplier, normal_stiffness, slip_stiffness,
-    friction, holds, force, tangential, normal_force, derivative, state,
+    friction, limit, holds, force, tangential, normal_force, derivative, state,
 ):  # fmt: skip
     """Forces at contact points and their derivatives; see above. All in the frame of the body.
 
@@ -90,6 +107,7 @@ def contact_forces(
         multiplier: λ (N), shape (m,).
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
+        limit: τ A (N), shape (m,).
         holds: Points that stay in contact even outside the body, with p < 0, shape (m,).
         force: Output: f (N), shape (m, d).
         tangential: Output: t (N), shape (m, d).
@@ -138,7 +156,10 @@ def contact_forces(
             for j in range(d):
                 tangent[i, j] = eT * n[i] * n[j] - along * H[i, j] - n[i] * dn[j]
             tangent[i, i] -= eT
-        if size <= friction * p:
+        bound, slope = friction * p, friction * eN
+        if bound > limit[c]:
+            bound, slope = limit[c], 0.0
+        if size <= bound:
             for i in range(d):
                 tangential[c, i] = trial[i]
                 force[c, i] += trial[i]
@@ -146,7 +167,7 @@ def contact_forces(
                     derivative[c, i, j] += tangent[i, j]
             continue
         state[c] = SLIPS
-        share = friction * p / size
+        share = bound / size
         for i in range(d):
             tangential[c, i] = share * trial[i]
             force[c, i] += share * trial[i]
@@ -157,9 +178,7 @@ def contact_forces(
             dsize /= size
             for i in range(d):
                 s = trial[i] / size
-                derivative[c, i, j] += (
-                    share * (tangent[i, j] - s * dsize) - friction * eN * n[j] * s
-                )
+                derivative[c, i, j] += share * (tangent[i, j] - s * dsize) - slope * n[j] * s
 
 
 def slip_work(tangential: Array, before: Array, slip: Array, normal: Array, stiffness: Array):

@@ -67,6 +67,7 @@ class ContactStart:
         stiffness: Penalties ε_N (N/m), shape (m,).
         multiplier: Multipliers of the normal force (N), shape (m,).
         closing: Closing of the gaps in the last step (m), shape (m,).
+        limit: Largest forces of friction (N), besides those by its coefficient, shape (m,).
     """
 
     gap: Array
@@ -75,6 +76,7 @@ class ContactStart:
     stiffness: Array
     multiplier: Array
     closing: Array
+    limit: Array
 
 
 @dataclass

@@ -70,7 +70,7 @@ def _mean(q0, q1):
 @numba.njit(cache=True, error_model="numpy")
 def mean_forces(
     first, gap, normal, middle, curvature, path, before, multiplier, normal_stiffness,
-    slip_stiffness, friction, force, tangential, normal_force, derivative, loss, state,
+    slip_stiffness, friction, limit, force, tangential, normal_force, derivative, loss, state,
 ):  # fmt: skip
     """Mean forces at contact points over a step and their derivatives, in the frame of the body.
 
@@ -83,6 +83,7 @@ def mean_forces(
         multiplier: λ (N), shape (m,).
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
+        limit: τ A (N), shape (m,), see `dolfinmpm.contact.contactlaw`.
         force: Output: p̄ n̄ + t̄ (N), shape (m, d).
         tangential: Output: t₁ (N), shape (m, d).
         normal_force: Output: p₁ (N), shape (m,).
@@ -161,8 +162,11 @@ def mean_forces(
                 tangent[i, j] = 0.5 * (eT * n[i] * n[j] - off * H[i, j]) - n[i] * dn[j]
             tangent[i, i] -= 0.5 * eT
         share = 1.0
-        if size > friction * p:
-            state[c], share = SLIPS, friction * p / size
+        bound, slope = friction * p, friction * dp * eN
+        if bound > limit[c]:
+            bound, slope = limit[c], 0.0
+        if size > bound:
+            state[c], share = SLIPS, bound / size
         done, kept = 0.0, 0.0
         for i in range(d):
             mean = share * trial[i]
@@ -185,7 +189,7 @@ def mean_forces(
                 change = share * tangent[i, j]
                 if state[c] == SLIPS:
                     s = trial[i] / size
-                    change -= share * s * by_size + friction * dp * eN * normal[c, j] * s
+                    change -= share * s * by_size + slope * normal[c, j] * s
                 derivative[c, i, j] += change
 
 

@@ -137,8 +137,9 @@ class RigidContact(Term):
     def describe(self) -> str:
         """See `Term`."""
         law = self.law
+        limit = "" if law.shear_limit is None else f", shear_limit = {law.shear_limit:g}"
         return (
-            f"friction = {law.friction:g}, penalty = {law.penalty:g}, stiffness_per_area = "
+            f"friction = {law.friction:g}{limit}, penalty = {law.penalty:g}, stiffness_per_area = "
             f"{law.stiffness}, tag = {self.tags}"
         )
 
@@ -196,6 +197,7 @@ def contact(
     v: Any,
     *,
     friction: float = 0.0,
+    shear_limit: float | None = None,
     penalty: float = 5.0,
     stiffness_per_area: float | None = None,
     slip_stiffness: float = 0.5,
@@ -228,6 +230,8 @@ def contact(
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         friction: Coefficient μ of Coulomb's friction.
+        shear_limit: Largest shear stress of friction (Pa), or None: α c_u on clay, together with a
+            coefficient so large that it is reached.
         penalty: κ in units of E/h: E is Young's modulus in the first state of the points, h the
             smallest height of a cell. About 100 for stiff confined bodies.
             `mpm.stiffness_per_area` returns κ.
@@ -266,7 +270,9 @@ def contact(
         )
     if points.axisymmetric:
         body.require_axis()
-    law = ContactLaw(friction, penalty, stiffness_per_area, slip_stiffness, penetration)
+    law = ContactLaw(
+        friction, penalty, stiffness_per_area, slip_stiffness, penetration, shear_limit
+    )
     if surface is not None:
         check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
         if surface.points is not points:

@@ -185,6 +185,7 @@ def contact_between(
     v: Sequence[Any],
     *,
     friction: float = 0.0,
+    shear_limit: float | None = None,
     penalty: float = 5.0,
     stiffness_per_area: float | None = None,
     slip_stiffness: float = 0.5,
@@ -219,6 +220,8 @@ def contact_between(
         u: Increments of the two fields, `Space.increment`, in the order of the boundaries.
         v: Test functions of the two fields, `Space.test`, in the same order.
         friction: Coefficient μ of Coulomb's friction.
+        shear_limit: Largest shear stress of friction (Pa), or None: α c_u on clay, together with a
+            coefficient so large that it is reached.
         penalty: κ in units of E/h: E is the harmonic mean of the bodies' Young's moduli, h the
             smallest height of a cell. `mpm.stiffness_per_area` returns κ. Where leaves are smaller
             than the cells of the grid, κ grows with the ratio of their heights.
@@ -284,7 +287,9 @@ def contact_between(
             "v are not the test functions of the fields of u, in their order; give "
             "(one.increment, other.increment) and (one.test, other.test)"
         )
-    law = ContactLaw(friction, penalty, stiffness_per_area, slip_stiffness, penetration)
+    law = ContactLaw(
+        friction, penalty, stiffness_per_area, slip_stiffness, penetration, shear_limit
+    )
     return as_form(TwoBodyContact((first, second), (u[0], u[1]), law), u[0], v[0])
 
 

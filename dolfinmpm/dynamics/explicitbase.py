@@ -21,7 +21,7 @@ from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.smallmass import Filter, checked_viscosity, filters
 from dolfinmpm.solve.step import Step
 
-__all__ = ["ExplicitBase", "Settings", "checked_courant"]
+__all__ = ["ExplicitBase", "Settings", "checked_courant", "strain_interval"]
 
 SCHEMES = ("usl", "usf", "musl")
 
@@ -61,6 +61,21 @@ class ExplicitStep(Step):
     def before(self) -> float:
         """Length of the step before (s); 0 where a run begins."""
         return 2.0 * self.kick - self.dt
+
+
+def strain_interval(step: ExplicitStep, scheme: str) -> tuple[float, float]:
+    """Start and length of the time in which the points strain in a step (s), for laws of time.
+
+    In "usf" that is the step before. A run begins with a strain of zero. It counts as that of the
+    first step, because a law may divide by the length.
+
+    Args:
+        step: The step.
+        scheme: Order of the step.
+    """
+    if scheme == "usf" and not step.begins:
+        return step.start - step.before, step.before
+    return step.start, step.dt
 
 
 @dataclass(frozen=True)

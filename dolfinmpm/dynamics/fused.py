@@ -20,7 +20,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.dynamics.energies import lateness
-from dolfinmpm.dynamics.explicitbase import ExplicitStep, Settings
+from dolfinmpm.dynamics.explicitbase import ExplicitStep, Settings, strain_interval
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
@@ -180,7 +180,7 @@ class FusedSteps:
             if fresh:
                 reason = self._scatter(main, step.dt)
             if self._laws.calls is not None:
-                self._laws.calls.moment[0] = step.start
+                self._laws.calls.moment[[0, 2]] = strain_interval(step, self._settings.scheme)
             taken += 1
             last = taken == count
             # the sums of the last step of all would not be used

@@ -122,7 +122,7 @@ def kernel(
             sums, J_bar = points[16:]
             cells_at = np.intp(sums.ctypes.data)
         if umat:
-            begin_umats(points[16], dt)
+            begin_umats(points[16])
         between = 1
         for k in range(d - 1, -1, -1):
             final[k] = lines[k].size - 2
@@ -232,8 +232,10 @@ def kernel(
                         return np.intp(p), left, behind
                     ratio = 1.0
                     if kind in (SMALL, JAUMANN):
-                        # F-bar: the law sees the mean's change of volume
-                        plus_one(d, 1.0, h, (mean / dt - trace(d, h)) / d if used else 0.0, u)
+                        # F-bar: the law sees the mean's change of volume. In "usf" the strain of
+                        # the first step takes no time.
+                        shared = used and dt > 0.0
+                        plus_one(d, 1.0, h, (mean / dt - trace(d, h)) / d if shared else 0.0, u)
                     elif used:
                         q = mean / stretched
                         if not q > 0.0:

@@ -49,7 +49,7 @@ class UmatCalls:
         sizes: Sizes of each law, see `UMAT.numbers`, shape (laws, 6).
         ids: Numbers of the points.
         work: Arrays of a call, see `OFFSETS`.
-        moment: Time at the start of the step (s), and size of a cell (m).
+        moment: Time at the start of the strain (s), size of a cell (m), and time that it takes (s).
         status: Number of the last failure, see `FAILURES`.
     """
 
@@ -69,7 +69,7 @@ class UmatCalls:
             np.stack([law.name for law in laws]),
             np.stack([law.numbers(6 if points.gdim == 3 else 4) for law in laws]),
             points["id"], np.zeros(_STATE + max(width, 1)),
-            np.array([0.0, smallest_height(points.grid)]), np.zeros(1, np.int32),
+            np.array([0.0, smallest_height(points.grid), 1.0]), np.zeros(1, np.int32),
         )  # fmt: skip
 
     @property
@@ -83,10 +83,10 @@ class UmatCalls:
 
 
 @numba.njit(**INLINE)
-def begin_umats(calls, dt):
+def begin_umats(calls):
     """Write what all points of a step share."""
     work, moment, status = calls[3], calls[4], calls[5]
-    start(work, moment[0], dt, moment[1])
+    start(work, moment[0], moment[2], moment[1])
     status[0] = 0
 
 

@@ -29,7 +29,7 @@ from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.boundarywork import boundary_forces, works_of_boundaries
 from dolfinmpm.dynamics.clock import velocities_at
 from dolfinmpm.dynamics.energies import lateness, lateness_by_contact, mapping_loss, stress_volumes
-from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep
+from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, strain_interval
 from dolfinmpm.dynamics.facesatnodes import Faces
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import point_masses
@@ -104,6 +104,7 @@ class GeneralSteps(ExplicitBase):
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
         here = self._activated(step)
+        points.interval = strain_interval(step, settings.scheme)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(problem.terms, here, settings.mass_scaling)

@@ -67,7 +67,9 @@ def _pieces(stencils: Any, basis: Any, active: npt.NDArray[np.int32], comm: MPI.
     from scipy.sparse.csgraph import connected_components
 
     counts = np.diff(stencils.node_start)
-    heads = np.repeat(stencils.nodes[stencils.node_start[:-1]], counts)
+    # points of other fields have no nodes
+    own = counts > 0
+    heads = np.repeat(stencils.nodes[stencils.node_start[:-1][own]], counts[own])
     size = basis.nodes.size
     graph = coo_matrix((np.ones(heads.size), (heads, stencils.nodes)), shape=(size, size))
     _, label = connected_components(graph, directed=False)

@@ -77,8 +77,10 @@ def test_poses_go_back_and_forth():
         np.testing.assert_allclose(pose.turn, 2 * turn)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3, 2.0])
-def test_contact_forces_have_their_derivative(friction):
+@pytest.mark.parametrize(
+    ("friction", "limit"), [(0.0, np.inf), (0.3, np.inf), (2.0, np.inf), (0.3, 0.1), (5.0, 0.2)]
+)
+def test_contact_forces_have_their_derivative(friction, limit):
     """Of a curved surface, in all three states, with and without multipliers."""
     rng, m = np.random.default_rng(2), 200
     surface = surface_of(mpm.Ball((0, 0, 0), 1.0), 0.0)
@@ -89,13 +91,15 @@ def test_contact_forces_have_their_derivative(friction):
     before = rng.uniform(-0.3, 0.3, (m, 3))
     held = np.zeros(m, bool)
     multiplier = np.where(rng.uniform(size=m) > 0.5, 0.4, 0.0)
+    limits = np.full(m, limit)
 
     def forces(x):
         out = [np.empty((m, 3)), np.empty((m, 3)), np.empty(m), np.empty((m, 3, 3))]
         state = np.empty(m, np.int8)
         contact_forces(
-            *surface.probe(x), x, start, before, multiplier, eN, eT, friction, held, *out, state
-        )
+            *surface.probe(x), x, start, before, multiplier, eN, eT, friction, limits, held, *out,
+            state,
+        )  # fmt: skip
         return *out, state
 
     _, traction, pressure, slope, state = forces(at)
@@ -105,7 +109,7 @@ def test_contact_forces_have_their_derivative(friction):
     same = np.all([forces(at + s)[-1] == state for s in (*steps, *-steps)], axis=0)
     assert same.mean() > 0.9
     np.testing.assert_allclose(slope[same], numeric[same], atol=2e-5)
-    bound = friction * pressure * (1 + 1e-12)
+    bound = np.minimum(friction * pressure, limit) * (1 + 1e-12)
     assert np.all(np.linalg.norm(traction, axis=1) <= bound)
     np.testing.assert_allclose(np.sum(traction * surface.probe(at)[1], axis=1), 0, atol=1e-12)
 

@@ -67,9 +67,10 @@ BY_CENTRES = [
 ]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    "scene", BY_CENTRES, ids=lambda s: "-".join(str(x) for x in s.values())[:40]
+    "scene",
+    [pytest.param(s, marks=[LONG] * (s["scheme"] != "usf")) for s in BY_CENTRES],
+    ids=lambda s: "-".join(str(x) for x in s.values())[:40],
 )
 def test_changes_of_volume_shared_by_centres(scene):
     one = compare(fbar="centres", body=CORNER, **scene)

@@ -1,0 +1,88 @@
+"""Contact whose shear stress has a limit, as that of clay, besides Coulomb's friction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import Linearised
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+
+LIMIT = 12e3
+
+
+def sheared(kind=mpm.QuasiStatic, friction=1.0, limit=LIMIT, basis="gimp", **motion):
+    """A block on a fixed bottom; a plate presses it, and then slides along it."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(-1, 4.1, 0.5), np.arange(0, 1.6, 0.5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (3, 1)), 2, 1800.0)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    plate = mpm.RigidBody(mpm.Plane((0, 1), (0, -1)), name="plate", **motion)
+    F = mpm.momentum(mpm.materials.Hencky(E=10e6, nu=0.0), points, u, v)
+    F += mpm.contact(plate, points, u, v, friction=friction, shear_limit=limit, penalty=50.0)
+    bcs = mpm.fixed(V, "bottom")
+    return kind(F, u, points, bcs, stabilisation="ghost"), plate
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+@pytest.mark.parametrize(
+    ("friction", "limit", "stress"),
+    [(1.0, LIMIT, LIMIT), (1.0, 24e3, 24e3), (0.05, LIMIT, None), (0.05, None, None)],
+)
+def test_a_plate_that_slides(basis, friction, limit, stress):
+    """The shear stress is the limit; where μ p is smaller it is that."""
+
+    def way(t):
+        return (0.05 * max(0.0, t - 1.0), -0.01 * min(t, 1.0))
+
+    problem, plate = sheared(friction=friction, limit=limit, basis=basis, displacement=way)
+    for _ in range(4):
+        problem.step()
+    along, normal = plate.force
+    expected = friction * abs(normal) if stress is None else 3.0 * stress
+    # a plate of the length of the block, 3 m
+    assert abs(along) == pytest.approx(expected, rel=1e-6)
+    assert abs(normal) > 3.0 * 60e3
+
+
+def test_the_tangent_is_the_derivative():
+    problem, _ = sheared(increment=(0.002, -0.004))
+    problem.step()
+    linearised = Linearised(problem)
+    rng = np.random.default_rng(1)
+    x, way, t = rng.uniform(-1e-5, 1e-5, linearised.size), rng.uniform(-1, 1, linearised.size), 1e-8
+    linearised.tangent(x)
+    exact, residual = linearised.product(way), linearised.residual
+    numerical = (residual(x + t * way) - residual(x - t * way)) / (2 * t)
+    np.testing.assert_allclose(exact, numerical, atol=1e-4 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("kind", [mpm.Newmark, mpm.Explicit])
+def test_a_block_that_slides_in_time(kind):
+    """On a plane under its weight τ A slows it down, not μ N."""
+    grid = mpm.create_lattice(
+        MPI.COMM_WORLD, [np.arange(0, 4.1, 0.25), np.arange(-0.25, 1.1, 0.25)]
+    )
+    points = mpm.fill(grid, mpm.Box((0.5, 0), (1.5, 0.5)), 2, 2000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=2e6, nu=0.0), points, u, v)
+    F += 10.0 * points.density * v[1] * points.dX
+    plane = mpm.RigidBody(mpm.Plane((0, 0), (0, 1)))
+    F += mpm.contact(plane, points, u, v, friction=1.0, shear_limit=2e3, penalty=20.0)
+    problem = kind(F, u, points)
+    points["velocity"] = (2.0, 0.0)
+    for t in mpm.times(0.4, dt=0.01):
+        problem.step(t)
+    # a = τ A/m = 2 m/s², and with μ = 1 it would be 10 m/s²
+    assert points["velocity"][:, 0].mean() == pytest.approx(2.0 - 2.0 * 0.4, abs=0.04)
+    energies = problem.energies()
+    assert energies.losses["friction"] == pytest.approx(2e3 * (2.0 * 0.4 - 0.16), rel=0.05)
+
+
+def test_what_is_refused():
+    with pytest.raises(mpm.errors.ParameterError, match="it bounds friction: give friction="):
+        sheared(friction=0.0, increment=(0.0, -0.01))
+    with pytest.raises(mpm.errors.ParameterError, match="shear_limit = -1"):
+        sheared(limit=-1.0, increment=(0.0, -0.01))
