@@ -116,7 +116,6 @@ def test_each_body_has_means_of_its_own(basis):
             np.testing.assert_allclose(both[k][name], expected, atol=1e-10 * scale, err_msg=name)
 
 
-@pytest.mark.long
 def test_a_step_that_fails_leaves_the_slip_as_it_was():
     problem = pressed()
     problem.step()
