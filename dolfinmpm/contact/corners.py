@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinmpm.basis import LinearBasis
+from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.facestencils import in_domains
 from dolfinmpm.basis.stencils import Stencils, selected, stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
@@ -276,8 +276,9 @@ class CornerLayout:
         else:
             r = np.einsum("cij,cj->ci", self._F[each], R * points["l0"][each])
         within = np.where(1.0 - share > _ROUNDING, (1.0 - share) * half, 0.0)
-        # beyond the domain the functions are continued by the gradients at the point
-        inside = np.clip(r, within - half, half - within)
+        # beyond the known cells the functions are continued by the gradients at the point
+        low, high = self._known_cells(x, half)
+        inside = np.clip(r, low + within, high - within)
         assert not isinstance(basis, LinearBasis), "linear functions have no averages"
         s = in_domains(basis, x + inside, within, x, half)
         M = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
@@ -286,6 +287,25 @@ class CornerLayout:
         if np.any(np.abs(rest) > _ROUNDING * half):
             M = M + self._matrix_by_gradient(each, rest, value=False)
         return x + r, M
+
+    def _known_cells(self, x: Array, half: Array) -> tuple[Array, Array]:
+        """Lower and upper ends of the cells of domains, from their centres (m), shape (m, gdim).
+
+        Corners of sheared material are beyond their domains, in cells with known functions. On
+        leaves, and for corners of domains, the ends are those of the domains.
+
+        Args:
+            x, half: Centres and half-lengths of the domains (m), shape (m, gdim).
+        """
+        basis = self._displacement.basis
+        if self.boxes or not isinstance(basis, LatticeBasis):
+            return -half, half
+        first, number = basis.spans(x, half)
+        low, high = np.empty_like(x), np.empty_like(x)
+        for d, line in enumerate(basis.lattice.lines):
+            at = first[:, d] + basis.halo.origin[d]
+            low[:, d], high[:, d] = line[at], line[at + number[:, d]]
+        return low - x, high - x
 
     def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and offsets from their points for motion by the gradients."""
