@@ -276,9 +276,12 @@ class CornerLayout:
         else:
             r = np.einsum("cij,cj->ci", self._F[each], R * points["l0"][each])
         within = np.where(1.0 - share > _ROUNDING, (1.0 - share) * half, 0.0)
-        # beyond the known cells the functions are continued by the gradients at the point
-        low, high = self._known_cells(x, half)
-        inside = np.clip(r, low + within, high - within)
+        if self.boxes or not isinstance(basis, LatticeBasis):
+            # beyond the domain the functions are continued by the gradients at the point
+            inside = np.clip(r, within - half, half - within)
+        else:
+            r, within = self._in_cells(basis, each, which, r, within)
+            inside = r
         assert not isinstance(basis, LinearBasis), "linear functions have no averages"
         s = in_domains(basis, x + inside, within, x, half)
         M = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
@@ -288,24 +291,33 @@ class CornerLayout:
             M = M + self._matrix_by_gradient(each, rest, value=False)
         return x + r, M
 
-    def _known_cells(self, x: Array, half: Array) -> tuple[Array, Array]:
-        """Lower and upper ends of the cells of domains, from their centres (m), shape (m, gdim).
+    def _in_cells(
+        self, basis: LatticeBasis, each: Rows, which: Rows, r: Array, within: Array
+    ) -> tuple[Array, Array]:
+        """Parts of faces of sheared material, which may be beyond the domains of their points.
 
-        Corners of sheared material are beyond their domains, in cells with known functions. On
-        leaves, and for corners of domains, the ends are those of the domains.
+        A part within the cells of the domain has the functions of these cells. Other corners stand
+        for themselves: they take the functions of the nearest of these cells, continued.
 
         Args:
-            x, half: Centres and half-lengths of the domains (m), shape (m, gdim).
+            basis: The basis.
+            each, which: Point of each corner, and number at its point, shape (m,).
+            r, within: Offsets from the points, and half-lengths of the parts (m), shape (m, gdim).
+
+        Returns:
+            Offsets and half-lengths.
         """
-        basis = self._displacement.basis
-        if self.boxes or not isinstance(basis, LatticeBasis):
-            return -half, half
-        first, number = basis.spans(x, half)
-        low, high = np.empty_like(x), np.empty_like(x)
+        points = self._points
+        x = points["x"][each]
+        first, number = basis.spans(x, points["l"][each])
+        outside = np.zeros((len(x), 1), bool)
         for d, line in enumerate(basis.lattice.lines):
-            at = first[:, d] + basis.halo.origin[d]
-            low[:, d], high[:, d] = line[at], line[at + number[:, d]]
-        return low - x, high - x
+            at, to = first[:, d] + basis.halo.origin[d], x[:, d] + r[:, d]
+            outside[:, 0] |= to - within[:, d] < line[at]
+            outside[:, 0] |= to + within[:, d] > line[at + number[:, d]]
+        R = _signs(points.gdim)[which] * points["l0"][each]
+        corner = np.einsum("cij,cj->ci", self._F[each], R)
+        return np.where(outside, corner, r), np.where(outside, 0.0, within)
 
     def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and offsets from their points for motion by the gradients."""
