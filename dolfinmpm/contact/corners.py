@@ -53,6 +53,8 @@ Which = Rows | slice
 ALL = slice(None)
 # Part of a half-length that is rounding
 _ROUNDING = 1e-12
+# Part of a half-length by which sheared material is beyond its domain
+_SHEARED = 1e-6
 
 
 def _signs(gdim: int) -> Array:
@@ -303,18 +305,18 @@ class CornerLayout:
             basis: The basis.
             each, which: Point of each corner, and number at its point, shape (m,).
             r, within: Offsets from the points, and half-lengths of the parts (m), shape (m, gdim).
-
-        Returns:
-            Offsets and half-lengths.
         """
         points = self._points
-        x = points["x"][each]
-        first, number = basis.spans(x, points["l"][each])
+        x, half = points["x"][each], points["l"][each]
+        first, number = basis.spans(x, half)
+        # ends of domains may be beyond these cells by a sliver, which has no share there
+        beyond = np.abs(r) + within > (1.0 + _SHEARED) * half
         outside = np.zeros((len(x), 1), bool)
         for d, line in enumerate(basis.lattice.lines):
             at, to = first[:, d] + basis.halo.origin[d], x[:, d] + r[:, d]
-            outside[:, 0] |= to - within[:, d] < line[at]
-            outside[:, 0] |= to + within[:, d] > line[at + number[:, d]]
+            low, high = line[at], line[at + number[:, d]]
+            out = (to - within[:, d] < low) | (to + within[:, d] > high)
+            outside[:, 0] |= out & beyond[:, d]
         R = _signs(points.gdim)[which] * points["l0"][each]
         corner = np.einsum("cij,cj->ci", self._F[each], R)
         return np.where(outside, corner, r), np.where(outside, 0.0, within)

@@ -148,6 +148,7 @@ class GroundColumn:
         stress = points["stress"][:, :d, :d].reshape(n, d * d)
         return self._means(points, np.hstack([points["x"], points["velocity"], stress]))
 
+    @collective
     def check_beside(self, points: Any, face: Any, box: Array) -> None:
         """Raise ParameterError unless a body's side has the heights of the column. Collective.
 

@@ -140,6 +140,8 @@ def test_mesh_alone_is_written_once(folder):
     assert read(files[0]).GetNumberOfCells() == 16
 
 
+# four large triangles hold a quarter less than the box
+@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.RoughShapeWarning")
 @pytest.mark.parametrize("kind", ["interval", "triangle", "quadrilateral", "hexahedron"])
 def test_grid_carries_increments_and_active_cells(folder, kind):
     grid = unit_grid(kind)
