@@ -198,6 +198,19 @@ class Linearised:
         self.matrix.mult(x, y)
         return y.array.copy()
 
+    def both(self, size, t):
+        """The tangent along a random way, and the central difference of residuals along it.
+
+        Args:
+            size: Largest of the random unknowns at which both are taken.
+            t: Step of the difference, as a share of the way.
+        """
+        rng = np.random.default_rng(1)
+        x, way = rng.uniform(-size, size, self.size), rng.uniform(-1, 1, self.size)
+        self.tangent(x)
+        difference = self.residual(x + t * way) - self.residual(x - t * way)
+        return self.product(way), difference / (2 * t)
+
 
 def dense(matrix):
     """Entries of a PETSc matrix, shape (rows, columns); the matrix is left as it is."""

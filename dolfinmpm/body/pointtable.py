@@ -265,9 +265,18 @@ class PointTable(Uncopied):
         check_same_call(self.comm, f"setting points['{name}']")
         old = self[name].copy()
         call_together(self.comm, lambda: self._set(name, values))
-        every = np.concatenate(self.comm.allgather(self[name])) if name == "id" else np.arange(1)
+        if name == "id":
+            self._check_numbers(old)
+
+    def _check_numbers(self, old: Any) -> None:
+        """Refuse new numbers of the points that do not tell them apart. Collective.
+
+        Args:
+            old: The numbers before, which come back.
+        """
+        every = np.concatenate(self.comm.allgather(self["id"]))
         if every.min(initial=0) < 0 or np.unique(every).size < every.size:
-            self.fields[name] = old
+            self.fields["id"] = old
             raise ParameterError(
                 f"'id' identifies the points, and must be {self.total} different numbers from 0 on "
                 "all ranks together; for other numbers add a field, points.add_field"

@@ -317,8 +317,7 @@ class CornerLayout:
             low, high = line[at], line[at + number[:, d]]
             out = (to - within[:, d] < low) | (to + within[:, d] > high)
             outside[:, 0] |= out & beyond[:, d]
-        R = _signs(points.gdim)[which] * points["l0"][each]
-        corner = np.einsum("cij,cj->ci", self._F[each], R)
+        corner = self._material_positions(each, which)[1]
         return np.where(outside, corner, r), np.where(outside, 0.0, within)
 
     def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:

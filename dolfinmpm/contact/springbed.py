@@ -50,12 +50,12 @@ class SpringBed(Term):
         self.points, self.surface, self.stiffness = surface.points, surface, stiffness
         self._u = u
         points, names = surface.points, surface.points.fields
-        self._way, self._seen = (f"{surface.name}_spring_{one}" for one in ("way", "motion"))
+        self._way, self._motion = (f"{surface.name}_spring_{one}" for one in ("way", "motion"))
         new = self._way not in names
         points.add_field(self._way, (), "m")
-        points.add_field(self._seen, (), "m")
+        points.add_field(self._motion, (), "m")
         if new:
-            points[self._seen] = self._along()
+            points[self._motion] = self._along()
 
     def _along(self) -> Array:
         """Displacements of the faces along their normals (m), shape (points,)."""
@@ -64,7 +64,7 @@ class SpringBed(Term):
     @property
     def way(self) -> Array:
         """Displacements along the normals since the springs were made (m), shape (points,)."""
-        return self.points[self._way] + (self._along() - self.points[self._seen])
+        return self.points[self._way] + (self._along() - self.points[self._motion])
 
     def keep(self, way: Array, new: NewState) -> None:
         """Add the displacements at the end of a step to a new state.
@@ -77,7 +77,7 @@ class SpringBed(Term):
         x = new.fields.get("x", points["x"])
         new.fields[self._way] = way
         moved = self.surface.displacements_of(x, F)
-        new.fields[self._seen] = np.sum(self.normals[0] * moved, axis=1)
+        new.fields[self._motion] = np.sum(self.normals[0] * moved, axis=1)
 
     def __repr__(self) -> str:
         return f"the springs at '{self.surface.name}', {self.stiffness:g} Pa/m"

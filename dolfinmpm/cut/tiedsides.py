@@ -26,7 +26,7 @@ __all__ = ["TiedSides", "tied"]
 
 Array = npt.NDArray[np.float64]
 # Share of a period's cells that bodies may fill. Points at cut sides count in the cells of their
-# centres, so that it may be a little above 1.
+# centres, so that a cell may seem to hold half as much again.
 _FULL = 1.6
 
 
