@@ -176,7 +176,7 @@ def DifferentProblemWarning():
 
 def RoughShapeWarning():
     grid = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4, mesh.CellType.quadrilateral)
-    mpm.fill(grid, mpm.Ball((0.5, 0.5), 0.15), per_cell=1, density=1.0)
+    mpm.fill(grid, mpm.Ball((0.5, 0.5), 0.26), per_cell=1, density=1.0)
 
 
 def SoftVolumeWarning():
