@@ -5,8 +5,9 @@ checkpoint, and goes on to its end. Then everything is built anew, as in another
 day. The second run loads the checkpoint and goes on from there.
 
 The same input gives the same bits on one rank. So positions, velocities and stresses of all points
-are equal in both runs, to the last bit. On several ranks they are equal if the number of ranks is
-the same. On another number of ranks the checkpoint loads too, and the last digits differ.
+are equal in both runs, to the last bit. On several ranks they are equal if the number of ranks and
+the partition of the grid are the same. DOLFINx's partition is another one now and then, and the
+last digits then differ. On another number of ranks the checkpoint loads, too.
 
 In ParaView open `output/paraview_and_checkpoint/whole.pvd` (points), and beside it
 `whole_grid.pvd` (active cells) and `whole_bodies.pvd` (the floor). `rest.pvd` is of the second run,
@@ -88,4 +89,5 @@ with mpm.figure("output/paraview_and_checkpoint.png", 3.5, 2.6) as (_, axes):
 if MPI.COMM_WORLD.rank == 0:
     print(f"{len(after)} steps after the restart: largest difference {difference:g}")
 assert len(after) == len(times) - stop
-assert difference == 0.0
+# on several ranks the partitions of the two grids may differ
+assert difference <= (0.0 if MPI.COMM_WORLD.size == 1 else 1e-8)
