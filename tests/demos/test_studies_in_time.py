@@ -130,7 +130,8 @@ def test_rotating_disc(tmp_path):
     for name in ("lumped flip", "lumped accel"):
         assert 0.9 < runs[name]["angular_momentum"] < 0.995
     lost = {name: abs(1 - row["angular_momentum"]) for name, row in runs.items()}
-    assert lost["lumped apic"] < 1e-11
+    # what Newton's method leaves: 1e-12 with a tolerance of 1e-10
+    assert lost["lumped apic"] < 1e-10
     assert lost["consistent pic"] < 1e-7
     assert lost["lumped tpic"] < 1e-3
     for name in ("lumped apic", "lumped tpic", "consistent pic"):
