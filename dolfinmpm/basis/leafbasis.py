@@ -259,6 +259,9 @@ class LeafBasis:
         """
         begin, leaf = self.leaves.overlapped(self._inwards(at, x, half), within)
         cells = np.where(leaf >= 0, self._cell_of[leaf], -1).astype(np.int32)
+        # beyond the sides of the grid there are no functions to continue
+        ends = np.array([[line[0], line[-1]] for line in self.lattice.lines])
+        at = np.where(within > 0.0, at, np.clip(at, *ends.T))
         return self._stencils(at, within, begin, cells, False)
 
     def stencils(self, where: Placement) -> Stencils:

@@ -111,7 +111,10 @@ class ActiveRigidContact(ActiveContact):
         contact, points, c = self.contact, self.contact.points, self.corners
         names, own = contact.names, (c.rows, c.which)
         normal_force = points[names.normal_force][own]
-        areas = self.layout.areas(c, contact.body.start.directions(self._probe[1]))
+        normal = contact.body.start.directions(self._probe[1])
+        areas = self.layout.areas(c, normal)
+        bounded = contact.law.shear_limit is not None
+        slipping = self.layout.areas(c, normal, self._probe[0]) if bounded else areas
         k = contact.stiffness_at(c.rows) * areas
         if in_time:
             # the stiffness of a touching corner must not change with the normal: the stored
@@ -122,7 +125,7 @@ class ActiveRigidContact(ActiveContact):
         multiplier = np.zeros(len(c.x)) if no_bound else normal_force
         return ContactStart(
             self._probe[0], points[names.tangential_force][own], normal_force, k, multiplier,
-            points[names.closing][own], contact.law.largest_slip_forces(areas),
+            points[names.closing][own], contact.law.largest_slip_forces(slipping),
         )  # fmt: skip
 
     @staticmethod

@@ -38,10 +38,8 @@ from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.contactstencils import (
-    ContactStencils,
-    growth_by_gradient,
-)
+from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradient
+from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_areas
 from dolfinmpm.cut.activation import ActiveField, Basis
 
 __all__ = ["ALL", "CornerLayout", "DisplacementBasis", "corner_count", "longest"]
@@ -191,31 +189,35 @@ class CornerLayout:
             return None
         return np.any(self._points[self._surface.area.name][rows] != 0.0, axis=1)
 
-    def areas(self, corners: Corners, normal: Array) -> Array:
-        """Area of the body's face per corner (m^(d-1)), shape (m,).
+    def areas(self, corners: Corners, normal: Array, gap: Array | None = None) -> Array:
+        """Area of the body's face per corner (m^(d-1)), shape (m,); see `cornerareas`.
 
-        Corners of a marked face share its initial area. The initial faces A_i of a domain have the
-        area A·n = Σ |n_i| A_i towards the normal n. The corners on this side share it. This is
-        exact for sides of a body along the grid's axes. In axisymmetric problems the area is that
-        all around, at the radius of the point, like the volume. Then a uniform pressure balances a
-        uniform stress.
+        Corners of a marked face share its initial area, other corners those of their domain's
+        initial faces, or of the rigid surface if gaps are given. In axisymmetric problems the area
+        is that all around, at the radius of the point, like the volume. Then a uniform pressure
+        balances a uniform stress.
 
         Args:
             corners: The corners.
             normal: Normal of the rigid surface at each corner, shape (m, gdim).
+            gap: Gaps of the corners (m), shape (m,), for a limit of the shear stress.
         """
         points, rows = self._points, corners.rows
         if self._surface is not None:
             area = np.linalg.norm(points[self._surface.area.name][rows], axis=1)
             return np.asarray(area / self.which.size)
         half = points["l0"][rows]
-        d = half.shape[1]
+        along = normal
         if not (self.boxes or self._keeps_axes):
             # the normal in the frame of the material
-            normal = np.einsum("pij,pi->pj", self._F[rows], normal)
-            normal /= np.linalg.norm(normal, axis=1)[:, None]
-        faces = np.stack([np.prod(np.delete(half, i, axis=1), axis=1) for i in range(d)], axis=1)
-        areas = np.sum(np.abs(normal) * faces, axis=1)
+            along = np.einsum("pij,pi->pj", self._F[rows], normal)
+            normal = along / np.linalg.norm(along, axis=1)[:, None]
+        if gap is None:
+            areas = face_areas(half, normal)
+        else:
+            ahead = 2.0 * np.abs(along) * (points["l"][rows] if self.boxes else half)
+            ahead *= places_on_faces(along) if self.on_faces else 1.0
+            areas = slip_areas(half, normal, _signs(points.gdim)[corners.which], ahead, gap)
         return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
 
     def corners(
@@ -267,10 +269,7 @@ class CornerLayout:
             normal = np.broadcast_to(self._surface.normal, normal.shape)
         elif not self.boxes:
             normal = np.einsum("pij,pi->pj", self._F[each], normal)
-        size = np.abs(normal)
-        largest = size.max(axis=1, initial=np.finfo(float).tiny, keepdims=True)
-        # place of the middle between the point's centre and the corner: smooth in the normal
-        share = 0.5 + 0.5 * (size / largest) ** 2
+        share = places_on_faces(normal)
         R = _signs(points.gdim)[which] * share
         x, half = points["x"][each], points["l"][each]
         if self.boxes:

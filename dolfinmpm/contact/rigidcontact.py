@@ -60,12 +60,25 @@ class RigidContact(Term):
         self.body, self.points, self.u = body, points, u
         self.surface, self.material, self.tags, self.law = surface, material, tags, law
         self._cell: float | None = None
-        counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
-        first = f"contact{next(counter)}"
+        first = f"contact{self._number()}"
         self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
         self.dissipated = 0.0
         self.mean_weights: MeanForceWeights | None = None
         self.in_time, self.limit = False, math.inf
+
+    def _number(self) -> int:
+        """Number of the contact: the next one, or that of the same contact in an earlier form.
+
+        So a problem of a new form goes on with the tangential forces of the problem before.
+        """
+        law, kept = self.law, self.points.__dict__
+        counter = kept.setdefault("_contact_numbers", itertools.count(1))
+        penalty = law.penalty, law.stiffness, law.slip_share
+        own = self.body, self.surface, self.material, self.tags, penalty
+        known = kept.setdefault("_rigid_contacts", {})
+        if own not in known:
+            known[own] = next(counter)
+        return int(known[own])
 
     kind, definite, fusable = "contact", False, True
 

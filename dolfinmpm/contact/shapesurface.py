@@ -93,7 +93,7 @@ def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> FacetedSurf
         what = "length" if d == 2 else "area"
         raise ParameterError(
             f"{flat.size} facets of {name} have no {what}, such as facet {flat[0]} at "
-            f"{shown(x[cells[flat[0], 0]])} m: remove them"
+            f"{x[cells[flat[0], 0]]} m: remove them"
         )
     _check_edges(x, cells, name)
     volume = volume_of(x, cells)

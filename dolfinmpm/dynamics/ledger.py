@@ -190,7 +190,11 @@ class Energies:
             UnknownNameError: There is no loss of this name.
         """
         if name not in self.losses:
-            raise UnknownNameError(f"no loss is named '{name}'; there are {', '.join(self.losses)}")
+            own = hasattr(self, name)
+            more = f"; {name} is no loss, take energies().{name}" if own else ""
+            raise UnknownNameError(
+                f"no loss is named '{name}'; there are {', '.join(self.losses)}{more}"
+            )
         return self.losses[name]
 
 

@@ -256,3 +256,5 @@ def test_an_unknown_loss_is_named():
     problem = dropped(8, stabilisation="ghost")
     with pytest.raises(mpm.errors.UnknownNameError, match="no loss is named 'heat'; there are"):
         problem.energies()["heat"]
+    with pytest.raises(mpm.errors.UnknownNameError, match=r"take energies\(\)\.kinetic"):
+        problem.energies()["kinetic"]
