@@ -173,6 +173,7 @@ class PointTable(Uncopied):
         # numbers of removed points are not used again
         self._next_id = max(self._next_id, highest + 1)
         self.revision += 1
+        self.fields.seal("id")
 
     def add_field(
         self, name: str, shape: tuple[int, ...] = (), unit: str = "", value: Any = 0.0
@@ -281,6 +282,7 @@ class PointTable(Uncopied):
                 f"'id' identifies the points, and must be {self.total} different numbers from 0 on "
                 "all ranks together; for other numbers add a field, points.add_field"
             )
+        self.fields.seal("id")
 
     def _set(self, name: str, values: npt.ArrayLike) -> None:
         target = self[name]
@@ -343,6 +345,8 @@ class PointTable(Uncopied):
         moved = migrate(self, to)
         # in a total formulation, the present positions have no cells
         self._located = self.fields.read("x").sum()
+        if moved:
+            self.fields.seal("id")
         self.revision += moved > 0
         return moved
 

@@ -368,7 +368,7 @@ class ActiveRigidContact(ActiveContact):
 
     def dissipated(self) -> float:
         """Work dissipated by friction in this step (J), on all ranks. Collective."""
-        slips = np.flatnonzero(self.states == SLIPS)
+        slips = np.flatnonzero(self.states >= SLIPS)
         done = float(self.now.loss.sum())
         if slips.size and self.mean_weights is None:
             at = self.contact.body.pose.back(self.x[slips])

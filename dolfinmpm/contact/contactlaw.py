@@ -31,6 +31,7 @@ from dolfinmpm._platform.units import friction_coefficient
 
 __all__ = [
     "FREE",
+    "SHEARS",
     "SLIPS",
     "STICKS",
     "ContactLaw",
@@ -41,7 +42,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-FREE, STICKS, SLIPS = 0, 1, 2
+# A point that slips does so at μ p, or it shears at τ A: between the two is a kink of the force
+FREE, STICKS, SLIPS, SHEARS = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,8 @@ def contact_forces(
         tangential: Output: t (N), shape (m, d).
         normal_force: Output: p (N), shape (m,).
         derivative: Output: ∂f/∂ξ (N/m), shape (m, d, d).
-        state: Output: FREE, STICKS or SLIPS, shape (m,). Contact without friction counts as STICKS.
+        state: Output: FREE, STICKS, SLIPS or SHEARS, shape (m,). Contact without friction counts
+            as STICKS.
     """
     d = at.shape[1]
     w, trial, dn = np.empty(d), np.empty(d), np.empty(d)
@@ -156,9 +159,9 @@ def contact_forces(
             for j in range(d):
                 tangent[i, j] = eT * n[i] * n[j] - along * H[i, j] - n[i] * dn[j]
             tangent[i, i] -= eT
-        bound, slope = friction * p, friction * eN
+        bound, slope, slips = friction * p, friction * eN, SLIPS
         if bound > limit[c]:
-            bound, slope = limit[c], 0.0
+            bound, slope, slips = limit[c], 0.0, SHEARS
         if size <= bound:
             for i in range(d):
                 tangential[c, i] = trial[i]
@@ -166,7 +169,7 @@ def contact_forces(
                 for j in range(d):
                     derivative[c, i, j] += tangent[i, j]
             continue
-        state[c] = SLIPS
+        state[c] = slips
         share = bound / size
         for i in range(d):
             tangential[c, i] = share * trial[i]

@@ -139,3 +139,15 @@ def test_numbers_of_points_are_different_and_not_negative(wrong):
         points["id"] = kept - 1 if wrong == "negative" else kept // 2
     assert np.array_equal(points["id"], kept)
     points["id"] = kept[::-1].copy()
+    # a change within the array is told by the next step
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    for kind in (mpm.QuasiStatic, mpm.Explicit):
+        problem = kind(F, V.increment, points, mpm.fixed(V, "bottom"))
+        for t in (1e-4, 2e-4):
+            problem.step(*([t] if kind is mpm.Explicit else []))
+            kept = points["id"].copy()
+            points["id"][:2] = 5
+            with pytest.raises(ParameterError, match=r"within its array.*points\['id'\] = ids"):
+                problem.step(*([2 * t] if kind is mpm.Explicit else []))
+            points["id"] = kept
