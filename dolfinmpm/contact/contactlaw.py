@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import number, refuse_idle
-from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm._platform.units import LARGEST_PENALTY, LEAST_PENALTY, friction_coefficient
 
 __all__ = [
     "FREE",
@@ -72,11 +72,11 @@ class ContactLaw:
     def __post_init__(self) -> None:
         # frozen: the number is kept as a float
         object.__setattr__(self, "friction", friction_coefficient(self.friction))
-        number("penalty", self.penalty, 0.0)
+        number("penalty", self.penalty, LEAST_PENALTY, LARGEST_PENALTY, closed=True)
         if self.stiffness is not None:
             number("stiffness_per_area", self.stiffness, 0.0, unit="Pa/m")
             refuse_idle("penalty", self.penalty, 5.0, "stiffness_per_area is given in its place")
-        number("slip_stiffness", self.slip_share, 0.0)
+        number("slip_stiffness", self.slip_share, 0.0, LARGEST_PENALTY)
         if not self.friction:
             refuse_idle("slip_stiffness", self.slip_share, 0.5, "it is of friction: give friction=")
             refuse_idle("shear_limit", self.shear_limit, None, "it bounds friction: give friction=")
