@@ -10,7 +10,15 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import DegreesWarning, warn
 
-__all__ = ["LARGEST_FRICTION", "LARGEST_MODULUS", "LARGEST_PENALTY", "LEAST_PENALTY", "friction_coefficient", "in_radians", "warn_of_radians"]
+__all__ = [
+    "LARGEST_FRICTION",
+    "LARGEST_MODULUS",
+    "LARGEST_PENALTY",
+    "LEAST_PENALTY",
+    "friction_coefficient",
+    "in_radians",
+    "warn_of_radians",
+]
 
 # Coefficient in place of an infinite one, in a product with a pressure that may be 0
 LARGEST_FRICTION = 1e30
