@@ -118,8 +118,8 @@ def _by_rasterio(file: Path) -> Raster:
         raise OSError(f"rasterio cannot read {file}: {error}") from error
     if bands != 1:
         raise ParameterError(
-            f"the raster {file} has {bands} bands, and a raster of heights has one: take out that of "
-            "the heights, gdal_translate -b 1 for the first"
+            f"the raster {file} has {bands} bands, and a raster of heights has one: take out "
+            "that of the heights, gdal_translate -b 1 for the first"
         )
     _check_units(file, system, unit)
     if to.b != 0.0 or to.d != 0.0:

@@ -231,7 +231,7 @@ class Reader:
         return None
 
     def compare(self, stage: TapedStep, operator: Operator) -> None:
-        """Note contacts that touch, stick, slip or shear at other points than on the tape. Collective."""
+        """Note contact points that are in other states than on the tape. Collective."""
         if not stage.states:
             return
         changed = np.zeros(2, np.int64)

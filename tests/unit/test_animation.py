@@ -68,7 +68,7 @@ def test_two_films_have_paths_of_their_own(tmp_path):
         mpm.animate(block()[0], tmp_path / "film.gif", "density", **SMALL) for _ in range(2)
     )
     second.write(0.0)
-    with pytest.raises(ParameterError, match="another film writes '.*film.gif'"), first:
+    with pytest.raises(ParameterError, match=r"another film writes '.*film\.gif'"), first:
         first.write(0.0)
     second.close()
 
