@@ -206,8 +206,8 @@ def _advice_on_edges(contacts: Sequence[ActiveRigidContact], comm: MPI.Comm) -> 
         if comm.allreduce(at_sharp_edge(contact), op=MPI.LOR):
             return (
                 f". A sharp edge of '{contact.contact.body.name}' is in line with corners of "
-                "points, where the normal jumps and friction may find no balance: round it, fillet=... "
-                "of mpm.RigidBody, by some share of a cell, or make the body a little wider"
+                "points, where the normal jumps and friction may find no balance: round it, "
+                "fillet=... of mpm.RigidBody, by some share of a cell, or make the body a little wider"
             )
     return ""
 
