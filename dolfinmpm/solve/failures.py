@@ -207,7 +207,7 @@ def _advice_on_edges(contacts: Sequence[ActiveRigidContact], comm: MPI.Comm) -> 
             return (
                 f". A sharp edge of '{contact.contact.body.name}' is in line with corners of "
                 "points, where the normal jumps and friction may find no balance: round it, "
-                "fillet=... of mpm.RigidBody, by some share of a cell, or make the body a little wider"
+                "fillet=... of mpm.RigidBody, by some share of a cell, or make it a little wider"
             )
     return ""
 
