@@ -26,7 +26,7 @@ z = 8.0 + 40.0 * (1 - x / 130) ** 2 + 0.025 * (y - middle) ** 2
 lens = np.maximum(4.0 * (1 - ((x - 30) / 16) ** 2 - ((y - middle) / 12) ** 2), 0.0)
 valley = mpm.Terrain.from_raster(z, spacing=5.0, corner=(0.0, -30.0))
 # a small gap keeps the corners of the points' domains out of the bed at first
-debris = valley.raised(lens.T).ground(bottom=valley.raised(0.5))
+debris = valley.raised(lens.T).ground(bottom=valley.raised(0.8))
 
 comm = MPI.COMM_WORLD
 lines = [np.arange(a, b + h, h) for a, b in ((0, 130), (-30, 30), (5, 65))]

@@ -74,6 +74,9 @@ INPUTS = {
     "mpm.RigidBody(TOOL, free=(False, True, True), force=(1.0, 0.0))": "force acts on components",
     "s.solver(form=s.F + touch(s, mpm.RigidBody(TOOL, force=lambda x, t: (0, 1)))).step()":
         "force = a function must be a function of the time (s) alone",
+    "touch(s, penalty=1e300)": "penalty = 1e+300 must be at least 1e-06 and at most 1e+12",
+    "touch(s, penalty=1e-300)": "penalty = 1e-300 must be at least 1e-06",
+    "touch(s, friction=0.5, slip_stiffness=1e300)": "slip_stiffness = 1e+300 must be above 0",
     "touch(s, slip_stiffness=3.0)": "slip_stiffness = 3.0 would do nothing: it is of friction",
     "touch(s, penalty=3.0, stiffness_per_area=1e6)": "penalty = 3.0 would do nothing",
     "wall(s, slip_penalty=3.0)": "slip_penalty = 3.0 would do nothing: it is of friction",

@@ -174,6 +174,14 @@ def DifferentProblemWarning():
     problem(points, V, *mpm.rollers(V, "bottom")).load("block.npz")
 
 
+def OverlapWarning():
+    points, V = block()
+    F = mpm.momentum(SOIL, points, V.increment, V.test)
+    plate = mpm.RigidBody(mpm.Plane((0, 0.03), (0, 1)))
+    F += mpm.contact(plate, points, V.increment, V.test)
+    mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "top")).step()
+
+
 def RoughShapeWarning():
     grid = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4, mesh.CellType.quadrilateral)
     mpm.fill(grid, mpm.Ball((0.5, 0.5), 0.26), per_cell=1, density=1.0)

@@ -36,6 +36,7 @@ __all__ = [
     "LostMomentumWarning",
     "MigrationError",
     "MissingPackageError",
+    "OverlapWarning",
     "ParameterError",
     "PointsOutsideGridError",
     "RoughShapeWarning",
@@ -171,6 +172,10 @@ class LostMomentumWarning(DolfinMPMWarning):
 
 class SingularMassWarning(DolfinMPMWarning):
     """A consistent mass is nearly singular: its nodal velocities are far too large."""
+
+
+class OverlapWarning(DolfinMPMWarning):
+    """Corners of points begin within a rigid body, which pushes them out."""
 
 
 class RoughShapeWarning(DolfinMPMWarning):

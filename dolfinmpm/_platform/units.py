@@ -10,10 +10,24 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import DegreesWarning, warn
 
-__all__ = ["LARGEST_FRICTION", "friction_coefficient", "in_radians", "warn_of_radians"]
+__all__ = [
+    "LARGEST_FRICTION",
+    "LARGEST_MODULUS",
+    "LARGEST_PENALTY",
+    "LEAST_PENALTY",
+    "friction_coefficient",
+    "in_radians",
+    "warn_of_radians",
+]
 
 # Coefficient in place of an infinite one, in a product with a pressure that may be 0
 LARGEST_FRICTION = 1e30
+
+# Penalties in units of a stiffness: beyond the largest, rounding is all that is left of the other
+# forces, and balances may be found in bodies that cannot move; below the least nothing is held
+LEAST_PENALTY, LARGEST_PENALTY = 1e-6, 1e12
+# Modulus (Pa) that no material has, and no unit of it makes
+LARGEST_MODULUS = 1e20
 
 # Coefficients in this range are none of any materials, and angles of friction in degrees of many
 _DEGREES = 10.0, 60.0

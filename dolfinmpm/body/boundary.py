@@ -20,7 +20,6 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import gradient, in_section
-from dolfinmpm.body.contours import cut_triangles
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.markergeometry import (
@@ -31,12 +30,13 @@ from dolfinmpm.body.markergeometry import (
     segment_markers,
     segments_of,
     side_markers,
+    triangle_markers,
     triangles_of,
 )
 from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.body.surfaceloads import pressure_of, vector_of
-from dolfinmpm.grid.lattice import lattice_of, require_lattice
+from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.serialnumbers import next_number
 from dolfinmpm.grid.sides import side_of
 
@@ -260,8 +260,8 @@ class Boundary:
     ) -> Boundary:
         """Boundary of triangles in space. Collective.
 
-        On rectangular grids, triangles are cut where cells meet. On other grids they are not cut:
-        give triangles that are no larger than cells.
+        On rectangular grids, triangles are cut where cells meet. On other grids they are cut into
+        equal parts no longer than half a cell.
 
         Args:
             points: Material points of the body.
@@ -281,9 +281,7 @@ class Boundary:
                 f"triangles bound bodies in 3D, the grid is of {points.gdim}D; in 2D give "
                 "Boundary.from_polygon"
             )
-        corners = triangles_of(vertices, triangles)
-        lattice = lattice_of(points.grid)
-        x, area = cut_triangles(corners, None if lattice is None else lattice.lines)
+        x, area = triangle_markers(points.grid, triangles_of(vertices, triangles))
         return cls(points, x, area, follows=follows, name=name, activates=activates)
 
     @classmethod

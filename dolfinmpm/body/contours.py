@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["along_segments", "contour", "cut_triangles", "inside", "kuhn", "no_longer"]
+__all__ = ["along_segments", "contour", "cut_triangles", "inside", "kuhn", "no_longer", "quartered"]
 
 Array = npt.NDArray[np.float64]
 
@@ -127,6 +127,28 @@ def cut_triangles(
     rule, weights = (_COARSE, np.full(3, 1 / 3)) if coarse else (_TRIANGLE, _WEIGHTS)
     x = np.einsum("qk,nki->nqi", rule, made)
     return x.reshape(-1, 3), (area[:, None, :] * weights[:, None]).reshape(-1, 3)
+
+
+def quartered(corners: Array, longest: float) -> Array:
+    """Triangles in space, halved along all sides until no side is longer than a length.
+
+    Args:
+        corners: Corners (m), shape (n, 3, 3).
+        longest: Longest side (m).
+
+    Returns:
+        Triangles with the same normals, shape (pieces, 3, 3).
+    """
+    done = []
+    while len(corners):
+        sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+        fits = sides <= longest * (1 + 1e-9)
+        done.append(corners[fits])
+        a, b, c = np.moveaxis(corners[~fits], 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        corners = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return np.concatenate(done) if done else corners
 
 
 def kuhn(d: int) -> npt.NDArray[np.intp]:

@@ -20,7 +20,14 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.axisymmetry import ring
-from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn, no_longer
+from dolfinmpm.body.contours import (
+    along_segments,
+    contour,
+    cut_triangles,
+    kuhn,
+    no_longer,
+    quartered,
+)
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.markerturns import check_crossings, check_turns
 from dolfinmpm.grid.lattice import Lattice, largest_cell, lattice_of, smallest_height
@@ -28,7 +35,7 @@ from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = [
     "level_set_markers", "put_inside", "revolved", "rows_of", "segment_markers", "segments_of",
-    "side_markers", "triangles_of",
+    "side_markers", "triangle_markers", "triangles_of",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -279,6 +286,19 @@ def segment_markers(grid, ends: Array, spacing: float | None, rule: int) -> tupl
             )
     lines = () if lattice is None else lattice.lines
     return along_segments(ends, lines, longest, rule)
+
+
+def triangle_markers(grid, corners: Array) -> tuple[Array, Array]:
+    """Positions (m) and area vectors (m²) of quadrature points on triangles.
+
+    Args:
+        grid: Background grid, in 3D.
+        corners: Corners of the triangles (m), shape (triangles, 3, 3).
+    """
+    lattice = lattice_of(grid)
+    if lattice is not None:
+        return cut_triangles(corners, lattice.lines)
+    return cut_triangles(quartered(corners, smallest_height(grid) / 2), None)
 
 
 def triangles_of(vertices: Any, triangles: Any) -> Array:

@@ -300,12 +300,17 @@ def unseal_results(points: MaterialPoints) -> None:
 
 
 def overwritten(points: MaterialPoints) -> ParameterError | None:
-    """Error for volumes or stresses of this rank that were changed since a step, or None.
+    """Error for volumes, stresses or numbers of this rank's points that were changed, or None.
 
     The next step computes volumes from F and V0, and stresses from strains. Stresses of UMATs and
     of forms that contain the field `stress` are a state. They may be changed.
     """
     fields = points.fields
+    if fields.broken("id"):
+        return ParameterError(
+            "points['id'] was changed within its array, where nobody sees whether two points have "
+            "one number. Set all of it: ids = points['id'].copy(), change ids, points['id'] = ids"
+        )
     if fields.broken("V"):
         V, wanted = fields.read("V"), determinants(fields.read("F")) * fields.read("V0")
         bad = np.flatnonzero(~(np.abs(V - wanted) <= _ROUNDING * np.abs(wanted)))

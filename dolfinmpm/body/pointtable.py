@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -26,7 +25,7 @@ from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.familyids import ancestors_of
-from dolfinmpm.body.fieldarrays import FieldArrays
+from dolfinmpm.body.fieldarrays import FieldArrays, sums_of
 from dolfinmpm.body.fields import PointField, no_field
 from dolfinmpm.body.location import Destinations, migrate
 from dolfinmpm.body.pointchecks import OF_STRAIN, astray, error_in_fields
@@ -74,7 +73,7 @@ class PointTable(Uncopied):
         self.symbols = PointSymbols(grid)
         self.total = self.revision = self._next_id = 0
         self.configuration = "updated"
-        self._located = math.nan
+        self._located: tuple[float, ...] = ()
 
     def take_first(self, values: dict[str, npt.NDArray[Any]]) -> None:
         """Make the fields that every point has.
@@ -173,6 +172,7 @@ class PointTable(Uncopied):
         # numbers of removed points are not used again
         self._next_id = max(self._next_id, highest + 1)
         self.revision += 1
+        self.fields.seal("id")
 
     def add_field(
         self, name: str, shape: tuple[int, ...] = (), unit: str = "", value: Any = 0.0
@@ -269,11 +269,7 @@ class PointTable(Uncopied):
             self._check_numbers(old)
 
     def _check_numbers(self, old: Any) -> None:
-        """Refuse new numbers of the points that do not tell them apart. Collective.
-
-        Args:
-            old: The numbers before, which come back.
-        """
+        """Refuse new numbers that do not tell points apart; the old come back. Collective."""
         every = np.concatenate(self.comm.allgather(self["id"]))
         if every.min(initial=0) < 0 or np.unique(every).size < every.size:
             self.fields["id"] = old
@@ -281,6 +277,7 @@ class PointTable(Uncopied):
                 f"'id' identifies the points, and must be {self.total} different numbers from 0 on "
                 "all ranks together; for other numbers add a field, points.add_field"
             )
+        self.fields.seal("id")
 
     def _set(self, name: str, values: npt.ArrayLike) -> None:
         target = self[name]
@@ -332,17 +329,23 @@ class PointTable(Uncopied):
         """Error for an impossible value in the fields of this rank's points, or None."""
         error = error_in_fields(self)
         updated = self.configuration == "updated"
-        if error is None and updated and self._located != (place := self.fields.read("x").sum()):
+        if error is None and updated and self._located != (at := sums_of(self.fields.read("x"))):
             # the user has changed x: steps locate the points that they move
             error = astray(self)
-            self._located = place if error is None else math.nan
+            self._located = at if error is None else ()
         return error
+
+    def note_places(self) -> None:
+        """Note that the points are in their cells."""
+        self._located = sums_of(self.fields.read("x"))
 
     def migrate(self, to: Destinations) -> int:
         """Move points to the ranks that compute their cells; returns their number. Collective."""
         moved = migrate(self, to)
         # in a total formulation, the present positions have no cells
-        self._located = self.fields.read("x").sum()
+        self.note_places()
+        if moved:
+            self.fields.seal("id")
         self.revision += moved > 0
         return moved
 

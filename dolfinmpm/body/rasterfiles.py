@@ -44,7 +44,8 @@ def read_raster(path: Any) -> Raster:
 
     Raises:
         OSError: There is no such file, or it is broken.
-        ParameterError: The argument is no path, the raster is turned, or its unit is no metre.
+        ParameterError: The argument is no path, the raster is turned or has several
+            bands, or its unit is no metre.
         MissingPackageError: The file is no ASCII grid, and rasterio is not installed.
     """
     file = file_path("raster", path)
@@ -98,7 +99,7 @@ def _ascii(file: Path) -> Raster:
 
 
 def _by_rasterio(file: Path) -> Raster:
-    """Read the first band of a file of rasterio."""
+    """Read a file of rasterio, which has one band."""
     try:
         import rasterio
     except ImportError:
@@ -112,8 +113,14 @@ def _by_rasterio(file: Path) -> Raster:
             to, system = data.transform, data.crs
             # files of whole numbers store heights by a scale
             scale, offset, unit = data.scales[0], data.offsets[0], data.units[0]
+            bands = data.count
     except rasterio.errors.RasterioError as error:
         raise OSError(f"rasterio cannot read {file}: {error}") from error
+    if bands != 1:
+        raise ParameterError(
+            f"the raster {file} has {bands} bands, and a raster of heights has one: take out "
+            "that of the heights, gdal_translate -b 1 for the first"
+        )
     _check_units(file, system, unit)
     if to.b != 0.0 or to.d != 0.0:
         raise ParameterError(

@@ -25,7 +25,12 @@ from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.corners import ALL, CornerLayout, DisplacementBasis, Rows, Which
 from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
 from dolfinmpm.contact.surfaces import Probe
-from dolfinmpm.contact.tunnelling import candidates, passed_through, unlisted_entered
+from dolfinmpm.contact.tunnelling import (
+    candidates,
+    passed_through,
+    unlisted_entered,
+    warn_of_overlap,
+)
 from dolfinmpm.cut.activation import ActiveDomain
 
 if TYPE_CHECKING:
@@ -87,6 +92,8 @@ class ActiveRigidContact(ActiveContact):
         self.now = ContactForces.zero(*c.x.shape)
         self.start = self._at_start(displacement.growth is not None)
         self._explicit = mean_weights is None and displacement.growth is not None
+        if contact.body.time == 0.0 and not contact.begun:
+            warn_of_overlap(self)
 
     def _near_corners(self, x: Array, distance: float) -> Which:
         """Choose the corners near the body, and keep the surface's values at these corners.
@@ -371,7 +378,7 @@ class ActiveRigidContact(ActiveContact):
 
     def dissipated(self) -> float:
         """Work dissipated by friction in this step (J), on all ranks. Collective."""
-        slips = np.flatnonzero(self.states == SLIPS)
+        slips = np.flatnonzero(self.states >= SLIPS)
         done = float(self.now.loss.sum())
         if slips.size and self.mean_weights is None:
             at = self.contact.body.pose.back(self.x[slips])

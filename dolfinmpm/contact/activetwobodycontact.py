@@ -178,7 +178,7 @@ class ActiveTwoBodyContact(ActiveContact):
         if self.mean_weights is not None:
             return self.now.loss
         done = np.zeros(len(self.states))
-        slips = np.flatnonzero(self.states == SLIPS)
+        slips = np.flatnonzero(self.states >= SLIPS)
         if slips.size:
             done[slips] = slip_work(
                 self.now.tangential[slips], self.start.tangential[slips], self._slip[slips],

@@ -27,10 +27,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import number, refuse_idle
-from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm._platform.units import LARGEST_PENALTY, LEAST_PENALTY, friction_coefficient
 
 __all__ = [
     "FREE",
+    "SHEARS",
     "SLIPS",
     "STICKS",
     "ContactLaw",
@@ -41,7 +42,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-FREE, STICKS, SLIPS = 0, 1, 2
+# A point that slips does so at μ p, or it shears at τ A: between the two is a kink of the force
+FREE, STICKS, SLIPS, SHEARS = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,11 @@ class ContactLaw:
     def __post_init__(self) -> None:
         # frozen: the number is kept as a float
         object.__setattr__(self, "friction", friction_coefficient(self.friction))
-        number("penalty", self.penalty, 0.0)
+        number("penalty", self.penalty, LEAST_PENALTY, LARGEST_PENALTY, closed=True)
         if self.stiffness is not None:
             number("stiffness_per_area", self.stiffness, 0.0, unit="Pa/m")
             refuse_idle("penalty", self.penalty, 5.0, "stiffness_per_area is given in its place")
-        number("slip_stiffness", self.slip_share, 0.0)
+        number("slip_stiffness", self.slip_share, 0.0, LARGEST_PENALTY)
         if not self.friction:
             refuse_idle("slip_stiffness", self.slip_share, 0.5, "it is of friction: give friction=")
             refuse_idle("shear_limit", self.shear_limit, None, "it bounds friction: give friction=")
@@ -113,7 +115,8 @@ def contact_forces(
         tangential: Output: t (N), shape (m, d).
         normal_force: Output: p (N), shape (m,).
         derivative: Output: ∂f/∂ξ (N/m), shape (m, d, d).
-        state: Output: FREE, STICKS or SLIPS, shape (m,). Contact without friction counts as STICKS.
+        state: Output: FREE, STICKS, SLIPS or SHEARS, shape (m,). Contact without friction counts
+            as STICKS.
     """
     d = at.shape[1]
     w, trial, dn = np.empty(d), np.empty(d), np.empty(d)
@@ -156,9 +159,9 @@ def contact_forces(
             for j in range(d):
                 tangent[i, j] = eT * n[i] * n[j] - along * H[i, j] - n[i] * dn[j]
             tangent[i, i] -= eT
-        bound, slope = friction * p, friction * eN
+        bound, slope, slips = friction * p, friction * eN, SLIPS
         if bound > limit[c]:
-            bound, slope = limit[c], 0.0
+            bound, slope, slips = limit[c], 0.0, SHEARS
         if size <= bound:
             for i in range(d):
                 tangential[c, i] = trial[i]
@@ -166,7 +169,7 @@ def contact_forces(
                 for j in range(d):
                     derivative[c, i, j] += tangent[i, j]
             continue
-        state[c] = SLIPS
+        state[c] = slips
         share = bound / size
         for i in range(d):
             tangential[c, i] = share * trial[i]

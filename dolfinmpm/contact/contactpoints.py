@@ -90,7 +90,7 @@ class ContactForces:
         normal: Normal forces (N), shape (m,).
         derivative: Derivatives of the forces by the positions (N/m), shape (m, gdim, gdim), in the
             frame of `tangential`.
-        states: State of each point: FREE, STICKS or SLIPS, shape (m,).
+        states: State of each point: FREE, STICKS, SLIPS or SHEARS, shape (m,).
         gap: Gaps (m), shape (m,); infinite where no gap was computed.
         path: Paths of the points in the step, in the frame of the body (m), shape (m,).
         loss: Work dissipated by friction (J), shape (m,).
@@ -158,13 +158,13 @@ class ActiveContact(ActiveTerm):
 
     @property
     def states(self) -> npt.NDArray[np.int8]:
-        """States of the contact points (FREE, STICKS or SLIPS), shape (m,)."""
+        """States of the contact points (FREE, STICKS, SLIPS or SHEARS), shape (m,)."""
         return self.now.states
 
     @property
     def count(self) -> tuple[int, int]:
         """Numbers of points of this rank that stick, or touch without friction, and that slip."""
-        return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
+        return int(np.sum(self.states == STICKS)), int(np.sum(self.states >= SLIPS))
 
     @property
     def force_weight(self) -> float:

@@ -95,6 +95,18 @@ class FacetedSurface:
         """See `RigidSurface`."""
         return self.x[self.facets]
 
+    def sharp_edges(self) -> Array:
+        """Ends of the edges at which normals turn by 20 degrees or more (m), shape (n, 2, gdim).
+
+        In 2D both ends are a corner.
+        """
+        flat = 2 * np.cos(np.radians(10.0))
+        if self.gdim == 2:
+            corners = self.x[np.linalg.norm(self._at_corner, axis=1) < flat]
+            return np.stack([corners, corners], axis=1)
+        ends = np.stack([self.facets, np.roll(self.facets, -1, axis=1)], axis=2)
+        return self.x[ends[np.linalg.norm(self._at_edge, axis=2) < flat]]
+
 
 def _tree(corners: Array) -> tuple[Array, Array, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """A tree of boxes around facets: corners and parts of the boxes, and order of the facets.

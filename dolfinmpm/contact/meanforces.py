@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS
+from dolfinmpm.contact.contactlaw import FREE, SHEARS, SLIPS, STICKS
 
 __all__ = [
     "SPARE_SHARE",
@@ -89,7 +89,7 @@ def mean_forces(
         normal_force: Output: p₁ (N), shape (m,).
         derivative: Output: derivative of the force by ξ at the end (N/m), shape (m, d, d).
         loss: Output: work dissipated by friction (J), shape (m,).
-        state: Output: FREE, STICKS or SLIPS, shape (m,); FREE if there is no force.
+        state: Output: FREE, STICKS, SLIPS or SHEARS, shape (m,); FREE if there is no force.
     """
     d = path.shape[1]
     along, start, w, trial = np.empty(d), np.empty(d), np.empty(d), np.empty(d)
@@ -162,18 +162,18 @@ def mean_forces(
                 tangent[i, j] = 0.5 * (eT * n[i] * n[j] - off * H[i, j]) - n[i] * dn[j]
             tangent[i, i] -= 0.5 * eT
         share = 1.0
-        bound, slope = friction * p, friction * dp * eN
+        bound, slope, slips = friction * p, friction * dp * eN, SLIPS
         if bound > limit[c]:
-            bound, slope = limit[c], 0.0
+            bound, slope, slips = limit[c], 0.0, SHEARS
         if size > bound:
-            state[c], share = SLIPS, bound / size
+            state[c], share = slips, bound / size
         done, kept = 0.0, 0.0
         for i in range(d):
             mean = share * trial[i]
             force[c, i] += mean
             tangential[c, i] = 2.0 * mean - start[i] if last > 0.0 else 0.0
             kept += tangential[c, i] ** 2
-        if state[c] == SLIPS or last == 0.0:
+        if state[c] >= SLIPS or last == 0.0:
             done = 0.0
             for i in range(d):
                 # Δξ along the surface
@@ -181,13 +181,13 @@ def mean_forces(
             loss[c] = done - 0.5 * (kept - rubbed) / eT
         for j in range(d):
             by_size = 0.0
-            if state[c] == SLIPS:
+            if state[c] >= SLIPS:
                 for i in range(d):
                     by_size += trial[i] * tangent[i, j]
                 by_size /= size
             for i in range(d):
                 change = share * tangent[i, j]
-                if state[c] == SLIPS:
+                if state[c] >= SLIPS:
                     s = trial[i] / size
                     change -= share * s * by_size + slope * normal[c, j] * s
                 derivative[c, i, j] += change

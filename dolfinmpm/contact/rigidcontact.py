@@ -51,6 +51,7 @@ class RigidContact(Term):
         mean_weights: Weights of mean forces over a step in its balance; None for forces at the end.
         in_time: Whether steps have inertia.
         limit: Largest motion of the body at once (m).
+        begun: Whether the overlap before the first step has been looked at.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class RigidContact(Term):
         self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
         self.dissipated = 0.0
         self.mean_weights: MeanForceWeights | None = None
-        self.in_time, self.limit = False, math.inf
+        self.in_time, self.limit, self.begun = False, math.inf, False
 
     def _number(self) -> int:
         """Number of the contact: the next one, or that of the same contact in an earlier form.

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.errors import OverlapWarning, ParameterError, raise_together, warn
 from dolfinmpm.contact.bodymotion import Pose
 from dolfinmpm.contact.corners import ALL, CornerLayout, Rows, Which, longest
 from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
@@ -33,6 +33,7 @@ __all__ = [
     "too_far",
     "travelled",
     "unlisted_entered",
+    "warn_of_overlap",
     "within",
 ]
 
@@ -46,6 +47,8 @@ _STRIDE, _THROUGH = 0.25, 0.25
 # longer than half the thickness. Faces at an edge of 45° or more are neighbours. At any depth a
 # corner may come from one to the other, and smaller steps do not change this.
 _OPPOSITE, _AROUND = -math.sqrt(0.5), -1e-6
+# Depth within a body at the start that is told, over the distance of a point from its corners
+_OVERLAP = 0.1
 # Largest number of steps along a path
 _MOST = 10_000
 # Mask of the upper coordinates of the corners of a box, by dimension
@@ -269,6 +272,29 @@ def candidates(
         raise_together(points.comm, error)
     chosen = chosen[gap < reach[chosen]]
     return chosen if listed is None else listed[chosen]
+
+
+def warn_of_overlap(active: Any) -> None:
+    """Warn where corners of points begin within the body, once for a contact. Collective.
+
+    Args:
+        active: The contact in the first step of its body.
+    """
+    contact, layout = active.contact, active.layout
+    contact.begun = True
+    gap, rows = active.start.gap, active.corners.rows
+    deep = gap < -_OVERLAP * layout.reach(rows)
+    found = np.array([-gap[deep].min(initial=0.0), np.unique(rows[deep]).size])
+    largest = contact.points.comm.allreduce(found[0], op=MPI.MAX)
+    count = contact.points.comm.allreduce(int(found[1]), op=MPI.SUM)
+    if count:
+        warn(
+            contact.points.comm,
+            f"corners of {count} points begin within '{contact.body.name}', by up to "
+            f"{largest:.3g} m: the contact pushes them out from the first step on. Fill the body "
+            "beside it, or move the rigid body by that much",
+            OverlapWarning,
+        )
 
 
 def unlisted_entered(active: Any, x: Array, before: Array | None = None) -> bool:

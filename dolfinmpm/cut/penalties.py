@@ -15,6 +15,7 @@ from ufl.domain import extract_unique_domain
 
 from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import LARGEST_MODULUS, LARGEST_PENALTY
 from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.formarguments import (
     check_displacement,
@@ -39,14 +40,19 @@ TARGET = 30.0
 GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
 
 
-def penalty_factor(what: str, value: Any) -> float:
+def penalty_factor(what: str, value: Any, most: float = LARGEST_PENALTY) -> float:
     """The factor of a penalty, finite and not negative.
 
     Raises:
-        ParameterError: The value is not a finite number, or negative.
+        ParameterError: The value is not a finite number, or negative, or above the limit.
     """
     if number(what, value) < 0:
         raise ParameterError(f"{what} = {value:g} must be finite and not negative")
+    if value > most:
+        raise ParameterError(
+            f"{what} = {value:g} must be at most {most:g}: beyond that rounding hides all other "
+            "forces, and the body cannot move"
+        )
     return float(value)
 
 
@@ -64,7 +70,7 @@ def _scalar(what: str, value: Any, points: MaterialPoints) -> Any:
             f'own moduli: give factor="{ADAPTIVE}"'
         )
     if not isinstance(value, Expr):
-        return penalty_factor(what, value)
+        return penalty_factor(what, value, LARGEST_MODULUS if what == "gamma" else LARGEST_PENALTY)
     if value.ufl_shape != () or extract_arguments(value):
         raise ParameterError(f"{what} = {shown(value)} must be a number or a scalar of UFL")
     if extract_unique_domain(value) not in (None, points.grid.ufl_domain()):

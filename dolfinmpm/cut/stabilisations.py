@@ -12,6 +12,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import LARGEST_MODULUS
 from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
@@ -121,7 +122,7 @@ class Stabilisation:
             scaling = choice("stabilisation's scaling", self.scaling, SCALINGS)
             object.__setattr__(self, "scaling", scaling)
         if self.E is not None:
-            number("stabilisation's E", self.E, 0.0, unit="Pa")
+            number("stabilisation's E", self.E, 0.0, LARGEST_MODULUS, unit="Pa")
         if self.nu is not None:
             number("stabilisation's nu", self.nu, -1.0, 0.5)
         if isinstance(self.factor, str) and self.kind == "ghost":

@@ -25,6 +25,9 @@ __all__ = ["ExplicitBase", "Settings", "checked_courant", "strain_interval"]
 
 SCHEMES = ("usl", "usf", "musl")
 
+# Least and largest mass scaling: beyond them bodies stand still, or steps have no length
+_SCALES = 1e-12, 1e12
+
 
 def checked_courant(courant: Any) -> float:
     """The Courant number, a share of the critical step, or infinity.
@@ -125,7 +128,7 @@ class Settings:
             choice("scheme", scheme, SCHEMES),
             chosen.on(basis, mass),
             number("damping", damping, 0.0, 1.0, closed=True),
-            number("mass_scaling", mass_scaling, 0.0),
+            number("mass_scaling", mass_scaling, *_SCALES, closed=True),
             checked_viscosity(bulk_viscosity),
             tuple(filters(mass_cutoff, redistribution)),
             clock,

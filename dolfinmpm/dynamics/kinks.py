@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
-from dolfinmpm.contact.contactlaw import FREE, SLIPS
+from dolfinmpm.contact.contactlaw import FREE, SHEARS, SLIPS
 
 __all__ = ["Kinks"]
 
@@ -21,6 +21,7 @@ _ROUNDING = 1e-12
 COLLIDING = "nodes of colliding bodies begin or end to touch or slip"
 AT_SIDES = "nodes at frictional sides begin or end to touch or slip"
 CORNERS = "contact points begin or end to touch or slip"
+AT_LIMIT = "contact points reach or leave their largest shear stress"
 DAMPED = "nodes under local damping change the direction of their velocity"
 CLOSING = "points under bulk viscosity begin or end to close"
 
@@ -93,7 +94,8 @@ class Kinks:
         touch = (now.states != FREE) & (np.abs(now.gap) > _ROUNDING * np.abs(now.closed))
         self._add(CORNERS, numbers[touch], numbers[touch & partly])
         if ends:
-            self._add(CORNERS, numbers[touch & (now.states == SLIPS)])
+            self._add(CORNERS, numbers[touch & (now.states >= SLIPS)])
+            self._add(AT_LIMIT, numbers[touch & (now.states == SHEARS)])
 
     def add_damped(self, V: Array) -> None:
         """Add the velocities of nodes that local damping resists (m/s), shape (nodes, d)."""

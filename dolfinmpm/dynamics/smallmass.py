@@ -27,6 +27,9 @@ Array = npt.NDArray[np.float64]
 # Largest share of a mass cut-off without a warning; nodes at the surface of a body have more
 _LARGEST_CUT = 0.01
 
+# Largest coefficient of bulk viscosity; usual ones are about 1
+_MOST_VISCOUS = 1e6
+
 
 class Filter(Protocol):
     """A filter of light nodes."""
@@ -176,12 +179,13 @@ def checked_viscosity(given: Any) -> tuple[float, float]:
     """The two coefficients of bulk viscosity.
 
     Raises:
-        ParameterError: The argument is not a pair of numbers of at least 0.
+        ParameterError: The argument is not a pair of numbers of at least 0, or they are huge.
     """
     if not isinstance(given, (tuple, list)) or len(given) != 2:
         raise ParameterError(f"bulk_viscosity = {given!r} must be two numbers, as (0.06, 1.2)")
     linear, quadratic = (
-        number(f"bulk_viscosity[{k}]", b, 0.0, closed=True) for k, b in enumerate(given)
+        number(f"bulk_viscosity[{k}]", b, 0.0, _MOST_VISCOUS, closed=True)
+        for k, b in enumerate(given)
     )
     return linear, quadratic
 

@@ -110,14 +110,14 @@ class CellFinder:
             self._shape, points["cell"],
         )  # fmt: skip
         if points.comm.size == 1:
-            points._located = points["x"].sum()
+            points.note_places()
             return 0
         away = lost > 0 or bool(np.any(points["cell"] >= self._owned))
         if points.partition is not None:
             # these were numbers in the old overlap of ranks
             points["cell"][:] = -1
         if not points.comm.allreduce(away, op=MPI.LOR):
-            points._located = points["x"].sum()
+            points.note_places()
             return 0
         points["cell"][points["cell"] < 0] = 0
         return points.locate() + balance(points)

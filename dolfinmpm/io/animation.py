@@ -29,6 +29,7 @@ from dolfinmpm.io.encoding import ENDINGS, ffmpeg, join
 from dolfinmpm.io.figures import check_size
 from dolfinmpm.io.frames import Frame, Series, present_frame
 from dolfinmpm.io.gridlines import grid_lines, lines_of_lattice
+from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.plots import (
     DRAW,
     check_colour,
@@ -100,6 +101,7 @@ class Film:
         self._extent = np.column_stack(bounds(points.grid))
         self._lines = self._present_lines()
         self._unit = points.unit_of(look.colour)
+        take_paths(self, [path])
 
     def __enter__(self) -> Film:
         """The film itself."""
@@ -120,12 +122,14 @@ class Film:
             time: Time (s), or share of the load; shown above the picture.
 
         Raises:
-            ParameterError: The time is not finite, or the film is closed.
+            ParameterError: The time is not finite, the film is closed, or another film has begun
+                at this path in the meantime.
             OSError: There is no room for temporary files.
         """
         points, colour = self._points, self._look.colour
         if self._frames < 0:
             raise ParameterError(f"the film {self.path} is closed: make another one")
+        call_together(self._comm, lambda: refuse_other(self, self.path, "film"))
         call_together(self._comm, lambda: number("time", time))
         refined = leaves_on(points.grid) is not None
         lines = self._present_lines() if refined else None

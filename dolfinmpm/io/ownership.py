@@ -11,7 +11,7 @@ from typing import Any
 
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["refuse_other", "take_paths"]
+__all__ = ["refuse_other", "refuse_part", "take_paths"]
 
 _owners: weakref.WeakValueDictionary[str, Any] = weakref.WeakValueDictionary()
 
@@ -28,6 +28,35 @@ def take_paths(owner: Any, paths: Iterable[Path]) -> None:
     """Make an object the owner of some files, in place of an earlier owner."""
     for path in paths:
         _owners[_key(path)] = owner
+
+
+def refuse_part(paths: Iterable[Path], first: Path, what: str) -> None:
+    """Raise if files belong to another object that is not of the same first file.
+
+    An object of the same first file replaces the other one as a whole; any other would overwrite
+    a part of it.
+
+    Args:
+        paths: The files.
+        first: The first of them, which names the object.
+        what: Kind of object, for the message.
+
+    Raises:
+        ParameterError: Another object owns some of the files.
+    """
+    for attempt in (0, 1):
+        owned = [(path, _owners.get(_key(path))) for path in paths]
+        others = [path for path, by in owned if by is not None and _key(by.path) != _key(first)]
+        if not others:
+            return
+        if not attempt:
+            # of an earlier script, as in `refuse_other`
+            del owned
+            gc.collect()
+    raise ParameterError(
+        f"another {what} writes '{others[0]}', which belongs to '{first}' too: give one of them "
+        "another name"
+    )
 
 
 def refuse_other(owner: Any, path: Path, what: str) -> None:

@@ -20,7 +20,7 @@ from dolfinmpm.body.loadbalance import occupied
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.io.gridmesh import GridMesh, leaf_mesh, padded
-from dolfinmpm.io.ownership import refuse_other, take_paths
+from dolfinmpm.io.ownership import refuse_other, refuse_part, take_paths
 from dolfinmpm.io.paraviewrecipe import recipe_text
 from dolfinmpm.io.vtkfiles import (
     Arrays,
@@ -131,6 +131,7 @@ class ParaView:
         self._times: list[float] = []
         call_together(self.comm, self._check_arguments)
         self._mesh = call_together(self.comm, lambda: GridMesh(points.grid, self._increments))
+        call_together(self.comm, lambda: refuse_part(self._paths, self.path, "ParaView series"))
         self._on_root(self._write_series)
         self._on_root(self._write_recipe)
         take_paths(self, self._paths)

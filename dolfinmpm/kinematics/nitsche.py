@@ -38,6 +38,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, floats, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import LARGEST_PENALTY
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
@@ -278,7 +279,7 @@ def condition_form(condition: Any, term: Expr, what: str) -> ufl.Form:
 def _checked(penalty: Any, stiffness_per_area: Any, usual: float | None) -> float | None:
     """The penalty in units of M/h, or None where it follows from something else."""
     if stiffness_per_area is None:
-        return usual if penalty is None else number("penalty", penalty, 0.0)
+        return usual if penalty is None else number("penalty", penalty, 0.0, LARGEST_PENALTY)
     if penalty is not None:
         raise ParameterError("penalty and stiffness_per_area are both given; give one of them")
     number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")

@@ -35,7 +35,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.argumentchecks import check_kind, number, refuse_idle
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.units import LARGEST_FRICTION, friction_coefficient
+from dolfinmpm._platform.units import LARGEST_FRICTION, LARGEST_PENALTY, friction_coefficient
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.markerstate import keys_of, nearest
@@ -305,7 +305,7 @@ def signorini(
     mu = friction_coefficient(friction)
     for what, given in (("penalty", penalty), ("slip_penalty", slip_penalty)):
         if given is not None:
-            number(what, given, 0.0)
+            number(what, given, 0.0, LARGEST_PENALTY)
     if d == 1:
         refuse_idle("friction", mu, 0.0, "in 1D nothing slides along a wall; leave it out")
     if not mu:

@@ -18,6 +18,7 @@ from dolfinmpm.basis.conditionchecks import free_motions
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.rigidbody import RigidBody
+from dolfinmpm.contact.sharpedges import at_sharp_edge
 from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.solve.loosepieces import loose_piece
 from dolfinmpm.solve.newton import Newton
@@ -47,8 +48,10 @@ def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed
         reason: The reason, in a few words.
     """
     free = [] if problem.scheme.inertia else problem.bodies.free
-    support = _missing_support(free, problem.bodies.acting(operator), reason, problem.comm)
-    return Failed(reason, _worst_point(problem, operator, reason), support)
+    contacts = problem.bodies.acting(operator)
+    support = _missing_support(free, contacts, reason, problem.comm)
+    edges = _advice_on_edges(contacts, problem.comm)
+    return Failed(reason, _worst_point(problem, operator, reason), support, edges)
 
 
 def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: float) -> str:
@@ -65,7 +68,7 @@ def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: fl
         f"({problem.loads.describe()}) with substeps of {share:.3g}: SNES says "
         f"{failed.reason}, the relative out-of-balance force is {problem.last_residual} (tolerance "
         f"{problem.tolerance:g}); the worst is {failed.worst}. The state is that at "
-        f"{done:.4g} of the step: {failed.advice or advice_on(problem)}"
+        f"{done:.4g} of the step: {failed.advice or advice_on(problem)}{failed.remark}"
     )
 
 
@@ -189,6 +192,23 @@ def _missing_support(
             "contact friction, prescribe the components that are not to move, "
             "free=(False, True, ...), or take Newmark and give it a mass"
         )
+    return ""
+
+
+def _advice_on_edges(contacts: Sequence[ActiveRigidContact], comm: MPI.Comm) -> str:
+    """Remark on a rigid body with a sharp edge in line with corners of points. Collective.
+
+    Args:
+        contacts: The contacts in their last state.
+        comm: The ranks.
+    """
+    for contact in contacts:
+        if comm.allreduce(at_sharp_edge(contact), op=MPI.LOR):
+            return (
+                f". A sharp edge of '{contact.contact.body.name}' is in line with corners of "
+                "points, where the normal jumps and friction may find no balance: round it, "
+                "fillet=... of mpm.RigidBody, by some share of a cell, or make it a little wider"
+            )
     return ""
 
 

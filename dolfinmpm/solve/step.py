@@ -38,11 +38,13 @@ class Failed:
         reason: The reason, in a few words.
         worst: The point whose law failed, or the most compressed point.
         advice: Advice to the user, or an empty string.
+        remark: A sentence more of advice, with a full stop before it, or an empty string.
     """
 
     reason: str
     worst: str
     advice: str = ""
+    remark: str = ""
 
 
 @dataclass

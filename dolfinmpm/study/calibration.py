@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown, whole
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 from dolfinmpm.study.derivatives import sizes_of
 from dolfinmpm.study.scenerun import Scene
 from dolfinmpm.study.weightedresiduals import WeightedResiduals
@@ -98,8 +98,15 @@ class Calibration:
             axes: Matplotlib's axes.
             name: Name of the figure, by default the first.
             style: Further arguments of Matplotlib's `plot`, for the best run.
+
+        Raises:
+            UnknownNameError: No figure that was measured has this name.
         """
         name = next(iter(self.measured)) if name is None else name
+        if name not in self.measured:
+            raise UnknownNameError(
+                f"there is no figure {shown(name)}; measured are {', '.join(self.measured)}"
+            )
         steps = np.arange(1, len(self.measured[name]) + 1)
         flat = self.measured[name].reshape(len(steps), -1), self.figures[name]
         axes.plot(steps, flat[0], "o", mfc="none", label=f"{name}, measured")

@@ -112,7 +112,8 @@ def differentiate(
         parameters: Name → value.
         scales: Name → size Δm of a parameter, in its unit. The derivative is then Δm ∂/∂m. Without
             a size, Δm is the value itself, so that derivatives are by ln m. A parameter whose value
-            is zero needs a size.
+            is zero needs a size. A negative size looks at less than m instead, and the
+            derivatives have the other sign.
         central: Whether two runs per parameter, at m ± ε Δm, begin at once. Their difference has
             two more digits, and takes twice the time. By default only for estimates of errors, for
             paths of `ArcLength`, with a `RigidFooting` or a `UMAT`, and for steps that are an

@@ -16,8 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm.contact.contactlaw import SHEARS, SLIPS
 from dolfinmpm.contact.contactpoints import ActiveContact
 from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.dynamics.kinks import AT_LIMIT, CORNERS
 from dolfinmpm.solve.bordered import Border, Bordered
 from dolfinmpm.solve.newton import Newton, Outcome
 from dolfinmpm.solve.operator import Operator
@@ -174,6 +176,19 @@ def _contact_states(operator: Operator) -> list[npt.NDArray[np.int8]]:
     return [term.states.copy() for term in operator.terms if isinstance(term, ActiveContact)]
 
 
+def _apart(one: npt.NDArray[np.int8], two: npt.NDArray[np.int8]) -> npt.NDArray[np.int64]:
+    """Numbers of contact points that touch, stick or slip, and that shear, on one side alone."""
+    shears = one == SHEARS, two == SHEARS
+    slips = np.minimum(one, SLIPS), np.minimum(two, SLIPS)
+    if one.shape == two.shape:
+        moves = slips[0] != slips[1]
+        changed = [moves, (shears[0] != shears[1]) & ~moves]
+        return np.array([np.count_nonzero(at) for at in changed])
+    # without pairs of points only their numbers can be compared
+    a, b = (np.bincount(at, minlength=3) for at in slips)
+    return np.array([np.abs(a - b)[1:].sum(), abs(shears[0].sum() - shears[1].sum())])
+
+
 class Reader:
     """Reads a tape from its start.
 
@@ -216,19 +231,14 @@ class Reader:
         return None
 
     def compare(self, stage: TapedStep, operator: Operator) -> None:
-        """Note contacts that touch, stick or slip at other points than on the tape. Collective."""
+        """Note contact points that are in other states than on the tape. Collective."""
         if not stage.states:
             return
-        changed = 0
+        changed = np.zeros(2, np.int64)
         for known, found in zip(stage.states, _contact_states(operator)):
-            if known.shape == found.shape:
-                changed += int(np.count_nonzero(known != found))
-            else:
-                changed += int(np.abs(np.bincount(known, minlength=3)
-                                      - np.bincount(found, minlength=3))[1:].sum())  # fmt: skip
+            changed += _apart(known, found)
         changed = operator.here.unknowns.comm.allreduce(changed, op=MPI.SUM)
-        if changed:
-            self.off.append(f"{changed} contact points begin or end to touch or slip")
+        self.off += [f"{n} {what}" for n, what in zip(changed, (CORNERS, AT_LIMIT)) if n]
 
     def arrive(self, stage: TapedStep, operator: Operator, x: Array) -> Outcome:
         """Set the increments, compare contacts with those on the tape, and end. Collective.

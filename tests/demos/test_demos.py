@@ -19,7 +19,7 @@ NUMBERS = {
     "coupled_slope": ("limit", 5.231),
     "column_collapse": ("error", 2.609e-3),
     "column_compaction": ("error", 5.56e-4),
-    "debris_flow": ("volume", 854.391),
+    "debris_flow": ("volume", 698.417),
     "diffusion": ("amplitude", 0.36958),
     "footing": ("factor", 5.242),
     "gmsh_slope": ("factor", 1.3828),

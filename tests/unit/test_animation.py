@@ -62,6 +62,17 @@ def test_a_film_has_a_frame_per_time_of_one_size(tmp_path):
     assert np.abs(colours[0] - colours[2]).max() > 100
 
 
+def test_two_films_have_paths_of_their_own(tmp_path):
+    """The film that was closed last had replaced the other one in silence."""
+    first, second = (
+        mpm.animate(block()[0], tmp_path / "film.gif", "density", **SMALL) for _ in range(2)
+    )
+    second.write(0.0)
+    with pytest.raises(ParameterError, match=r"another film writes '.*film\.gif'"), first:
+        first.write(0.0)
+    second.close()
+
+
 def test_a_closed_film_takes_no_frame(tmp_path):
     with mpm.animate(block()[0], tmp_path / "film.gif", "density", **SMALL) as film:
         film.write(0.0)

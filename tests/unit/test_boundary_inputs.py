@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dolfinx import mesh
 from mpi4py import MPI
 from test_boundary import LAW, scene
 
@@ -212,3 +213,18 @@ def test_triangles_that_disagree_are_refused():
     for x, t in ((corners, bad), (corners[bad].reshape(-1, 3), np.arange(6).reshape(2, 3))):
         with pytest.raises(ParameterError, match=r"of 1 sides .* disagree, .* at \[1. 1. 1.\] m"):
             make(points, x, t)
+
+
+def test_large_triangles_are_cut_on_any_grid():
+    """Two triangles on a side of 4 by 4 cells had 12 markers, and pressed on few of them."""
+    grid = mesh.create_unit_cube(MPI.COMM_WORLD, 4, 4, 4, mesh.CellType.tetrahedron)
+    points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 0.5)), 2, 1.0)
+    corners = np.array([(0, 0, 0.5), (1, 0, 0.5), (1, 1, 0.5), (0, 1, 0.5)])
+    made = mpm.Boundary.from_triangles(points, corners, np.array([(0, 1, 2), (0, 2, 3)]))
+    x = made.markers["x"]
+    counts, *_ = np.histogram2d(x[:, 0], x[:, 1], bins=8, range=[(0, 1)] * 2)
+    assert counts.min() > 0
+    # a polynomial of degree 4
+    weights = made.markers["area"][:, 2]
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights @ (x[:, 0] ** 2 * x[:, 1] ** 2) == pytest.approx(1 / 9)

@@ -11,7 +11,7 @@ import pytest
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError, UnknownNameError
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "demos" / "studies"))
 from derivative_scenes import column, history_of
@@ -246,3 +246,9 @@ def test_measurements_of_zero():
     fit = study.calibrate(of_steps(lambda *_: 0.0), {"a": 5e6}, {"y": np.zeros(6)})
     assert fit.intervals["a"] == (0.0, np.inf)
     assert fit.notes == ["the measurements do not depend on a^+1.00"]
+
+
+def test_only_figures_can_be_drawn():
+    fit = study.calibrate(of_steps(lambda m, _: m["a"]), {"a": 5e6}, {"y": np.ones(6)})
+    with pytest.raises(UnknownNameError, match="no figure 'a'; measured are y"):
+        fit.draw(None, "a")

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm.contact.bodymotion import Pose, rotation_of
-from dolfinmpm.contact.contactlaw import FREE, SLIPS, STICKS, contact_forces
+from dolfinmpm.contact.contactlaw import FREE, SHEARS, SLIPS, STICKS, contact_forces
 from dolfinmpm.contact.shapesurface import surface_of
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.freebodies import FreeBodies
@@ -103,14 +103,20 @@ def test_contact_forces_have_their_derivative(friction, limit):
         return *out, state
 
     _, traction, pressure, slope, state = forces(at)
-    assert set(state) == ({FREE, STICKS, SLIPS} if friction else {FREE, STICKS})
+    slips, shears = state == SLIPS, state == SHEARS
+    assert {FREE, STICKS} <= set(state)
+    assert (slips | shears).any() == (friction > 0)
+    assert shears.any() == (limit < np.inf)
+    sizes = np.linalg.norm(traction, axis=1)
+    np.testing.assert_allclose(sizes[shears], limit, rtol=1e-12)
+    np.testing.assert_allclose(sizes[slips], friction * pressure[slips], rtol=1e-12)
     steps = 1e-6 * np.eye(3)
     numeric = np.stack([(forces(at + s)[0] - forces(at - s)[0]) / 2e-6 for s in steps], axis=2)
     same = np.all([forces(at + s)[-1] == state for s in (*steps, *-steps)], axis=0)
     assert same.mean() > 0.9
     np.testing.assert_allclose(slope[same], numeric[same], atol=2e-5)
     bound = np.minimum(friction * pressure, limit) * (1 + 1e-12)
-    assert np.all(np.linalg.norm(traction, axis=1) <= bound)
+    assert np.all(sizes <= bound)
     np.testing.assert_allclose(np.sum(traction * surface.probe(at)[1], axis=1), 0, atol=1e-12)
 
 

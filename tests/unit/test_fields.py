@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 PAIRS = [("bspline2", "linear"), ("gimp", "linear"), ("linear", "bspline2"), ("bspline3", "gimp")]
 
@@ -139,3 +139,30 @@ def test_numbers_of_points_are_different_and_not_negative(wrong):
         points["id"] = kept - 1 if wrong == "negative" else kept // 2
     assert np.array_equal(points["id"], kept)
     points["id"] = kept[::-1].copy()
+    # a change within the array is told by the next step
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    for kind in (mpm.QuasiStatic, mpm.Explicit):
+        problem = kind(F, V.increment, points, mpm.fixed(V, "bottom"))
+        for t in (1e-4, 2e-4):
+            problem.step(*([t] if kind is mpm.Explicit else []))
+            kept = points["id"].copy()
+            points["id"][:2] = 5
+            with pytest.raises(ParameterError, match=r"within its array.*points\['id'\] = ids"):
+                problem.step(*([2 * t] if kind is mpm.Explicit else []))
+            points["id"] = kept
+
+
+def test_positions_and_stresses_in_another_order_are_told():
+    """Sums had been the same: points were computed by the functions of other cells."""
+    grid = mpm.create_lattice(COMM, [range(3), range(3)])
+    for name, text in (("x", r"is not in the cell .* points\.locate"), ("stress", "by hand")):
+        points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1.0)
+        V = mpm.Space(grid, "gimp")
+        F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+        F -= points.density * V.test[1] * points.dX
+        problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+        problem.step()
+        points[name][:] = points[name][::-1].copy()
+        with pytest.raises(DolfinMPMError, match=text):
+            problem.step()

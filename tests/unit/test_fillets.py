@@ -5,10 +5,11 @@ from __future__ import annotations
 import meshio
 import numpy as np
 import pytest
+from mpi4py import MPI
 from scipy.spatial import ConvexHull
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.contact.shapesurface import surface_of
 
 
@@ -88,3 +89,24 @@ def test_a_smooth_mesh_hardly_changes():
 def test_fillets_that_do_not_fit(corners, radius, text):
     with pytest.raises(ParameterError, match=text):
         mpm.RigidBody(hull(corners), fillet=radius)
+
+
+@pytest.mark.parametrize(
+    ("fillet", "friction", "told"), [(0, 0.5, True), (0.05, 0.5, False), (0, 0, False)]
+)
+def test_a_step_that_fails_names_the_fillet_as_a_remedy(fillet, friction, told):
+    """The edges of a free footing are in line with corners of the points."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(-2, 2.1, 0.5), np.arange(-1, 0.6, 0.5)])
+    points = mpm.fill(grid, mpm.Box((-2, -1), (2, 0)), 2, 1700.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    box = mpm.Box((-1, 0), (1, 0.5))
+    footing = mpm.RigidBody(box, fillet=fillet, free=(False, True, False), force=(0.0, -5e4))
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    F += mpm.contact(footing, points, u, v, friction=friction)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, max_iterations=1, max_halvings=0)
+    with pytest.raises(ConvergenceError) as failed:
+        problem.step()
+    assert ("in line with corners of points, where the normal jumps" in str(failed.value)) == told
+    assert ("round it, fillet=..." in str(failed.value)) == told

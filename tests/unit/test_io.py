@@ -236,10 +236,14 @@ def test_two_series_have_paths_of_their_own(folder):
         first.write(1.0)
     second.write(1.0)
     # the series of the grid beside it
-    third = ParaView(folder / "a_grid.pvd", quarter())
-    with pytest.raises(ParameterError, match="another ParaView series writes"):
-        second.write(2.0)
-    third.write(0.0)
+    before = (folder / "a_grid.pvd").read_text()
+    with pytest.raises(ParameterError, match=r"writes '.*a_grid\.pvd', which belongs to"):
+        ParaView(folder / "a_grid.pvd", quarter(), active=True)
+    assert (folder / "a_grid.pvd").read_text() == before
+    second.write(2.0)
+    # one that nobody has any more is replaced
+    del first, second
+    ParaView(folder / "a_grid.pvd", quarter()).write(1.0)
 
 
 def test_two_histories_have_paths_of_their_own(folder):

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from conftest import Linearised
 from mpi4py import MPI
+from onesided import around_kink, check_at_kink
 
 import dolfinmpm as mpm
+from dolfinmpm import study
+from dolfinmpm.dynamics.kinks import AT_LIMIT, CORNERS
 
 LIMIT = 12e3
 
@@ -81,3 +86,44 @@ def test_what_is_refused():
         sheared(friction=0.0, increment=(0.0, -0.01))
     with pytest.raises(mpm.errors.ParameterError, match="shear_limit = -1"):
         sheared(limit=-1.0, increment=(0.0, -0.01))
+
+
+def pushed(kind, limit):
+    """A plate slides along a block and presses it."""
+
+    def way(t):
+        return (6.0 * t, -1.2 * t)
+
+    return sheared(kind, 0.05, limit, displacement=way)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_derivatives_tell_where_the_limit_is_reached(side):
+    """Corners slip at μ p on one side of a value of the limit, and at τ A on the other."""
+
+    def scene(m):
+        problem, plate = pushed(mpm.Transient, m["limit"])
+        steps = [partial(problem.step, t) for t in (4e-3, 8e-3)]
+        return study.Run(problem, steps, {"force": lambda: plate.force})
+
+    def at_friction(limit):
+        run = scene({"limit": limit})
+        for step in run.steps:
+            step()
+        points = run.problem.points
+        along = np.linalg.norm(points["contact1_tangential_force"], axis=2)
+        slack = 0.05 * points["contact1_normal_force"] - along
+        return np.count_nonzero(slack > 1e-14 * along.max())
+
+    ends = around_kink(at_friction, (3e3, 8e3), 30)
+    # forces of 3e5 N balance to 1e-9
+    check_at_kink(scene, "limit", ends, side, AT_LIMIT, share=1e-3)
+
+
+def test_explicit_steps_tell_where_the_limit_is_reached():
+    for limit in (10.0, 1e6):
+        problem, _ = pushed(mpm.Explicit, limit)
+        watch = problem.watch_kinks()
+        problem.step(2e-3)
+        assert any(len(corners) for corners in watch.sets[CORNERS])
+        assert any(len(corners) for corners in watch.sets[AT_LIMIT]) == (limit < 1e3)

@@ -169,7 +169,7 @@ def test_geotiff_needs_rasterio(tmp_path, monkeypatch):
 class Opened:
     """A file as rasterio opens it, in metres, with two rows of whole numbers."""
 
-    crs, units, scales, offsets = None, (None,), (1.0,), (0.0,)
+    crs, units, scales, offsets, count = None, (None,), (1.0,), (0.0,), 1
     transform = types.SimpleNamespace(a=1.0, b=0.0, c=0.0, d=0.0, e=-1.0, f=0.0)
 
     def __init__(self, **entries):
@@ -212,6 +212,7 @@ FEET = system(linear_units="US survey foot", linear_units_factor=("US survey foo
         ({"crs": DEGREES}, "coordinates in degrees"),
         ({"crs": FEET}, "coordinates in US survey foot"),
         ({"crs": system(), "units": ("ft",)}, "heights in 'ft'"),
+        ({"count": 3}, "has 3 bands, .* gdal_translate -b 1"),
     ],
 )
 def test_rasters_of_other_units_or_directions_are_refused(tmp_path, monkeypatch, entries, text):
