@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FieldArrays", "sums_of"]
+__all__ = ["FieldArrays", "checksums"]
 
 Array = npt.NDArray[Any]
 Rows = slice | npt.NDArray[np.bool_]
@@ -39,7 +39,7 @@ class FieldArrays(UserDict[str, Array]):
         self._moment = 0
         # the moment in which an array was last returned or stored
         self._handed: dict[str, int] = {}
-        self._seals: dict[str, tuple[float, float, float]] = {}
+        self._seals: dict[str, tuple[float, ...]] = {}
         super().__init__(arrays)
 
     def __getitem__(self, name: str) -> Array:
@@ -76,7 +76,7 @@ class FieldArrays(UserDict[str, Array]):
 
     def seal(self, name: str, rows: Rows = slice(None)) -> None:
         """Note the present values of some rows of an array."""
-        self._seals[name] = sums_of(self.data[name][rows])
+        self._seals[name] = checksums(self.data[name][rows])
 
     def unseal(self, *names: str) -> None:
         """Allow changes inside arrays until the next seal."""
@@ -87,7 +87,7 @@ class FieldArrays(UserDict[str, Array]):
         """Whether the rows of an array have other values than at its seal, if it has one."""
         seal = self._seals.get(name)
         return seal is not None and not np.array_equal(
-            seal, sums_of(self.data[name][rows]), equal_nan=True
+            seal, checksums(self.data[name][rows]), equal_nan=True
         )
 
     def _held(self, name: str) -> bool:
@@ -100,14 +100,19 @@ class FieldArrays(UserDict[str, Array]):
         return sys.getrefcount(self.data[name]) > _alone
 
 
-def sums_of(values: Array) -> tuple[float, float, float]:
-    """Sums of values, of their squares, and of squares times neighbours, which tell the order."""
+def checksums(values: Array) -> tuple[float, ...]:
+    """Sums of both halves of the values, of squares, and of products of neighbours.
+
+    The last one tells most changes of the order, and the halves tell a reversed order.
+    """
     flat = values.ravel()
+    half = flat.size // 2
     # not by a library that may sum in another order each time
     return (
-        float(np.add.reduce(flat)),
+        float(np.add.reduce(flat[:half])),
+        float(np.add.reduce(flat[half:])),
         float(np.einsum("i,i->", flat, flat)),
-        float(np.einsum("i,i,i->", flat[:-1], flat[:-1], flat[1:])),
+        float(np.einsum("i,i->", flat[:-1], flat[1:])),
     )
 
 

@@ -25,7 +25,7 @@ from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.familyids import ancestors_of
-from dolfinmpm.body.fieldarrays import FieldArrays, sums_of
+from dolfinmpm.body.fieldarrays import FieldArrays, checksums
 from dolfinmpm.body.fields import PointField, no_field
 from dolfinmpm.body.location import Destinations, migrate
 from dolfinmpm.body.pointchecks import OF_STRAIN, astray, error_in_fields
@@ -329,7 +329,7 @@ class PointTable(Uncopied):
         """Error for an impossible value in the fields of this rank's points, or None."""
         error = error_in_fields(self)
         updated = self.configuration == "updated"
-        if error is None and updated and self._located != (at := sums_of(self.fields.read("x"))):
+        if error is None and updated and self._located != (at := checksums(self.fields.read("x"))):
             # the user has changed x: steps locate the points that they move
             error = astray(self)
             self._located = at if error is None else ()
@@ -337,7 +337,7 @@ class PointTable(Uncopied):
 
     def note_places(self) -> None:
         """Note that the points are in their cells."""
-        self._located = sums_of(self.fields.read("x"))
+        self._located = checksums(self.fields.read("x"))
 
     def migrate(self, to: Destinations) -> int:
         """Move points to the ranks that compute their cells; returns their number. Collective."""
