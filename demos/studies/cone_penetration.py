@@ -13,8 +13,9 @@
 # penetrometer of AMPSSIE's tutorials.
 #
 # With `--refine`, cells of the size h follow the tip alone; points split and merge with them, and
-# keep the mean volumes of F-bar. Ghost factor and penalty are smaller. It is 5.2, 4.7 and 5.2 % too
-# much after 8 R with R/4, R/8, R/16, and grows; 3.0 and 3.5 % with R/4, R/8 of `--basis bspline2`.
+# keep the mean volumes of F-bar. Ghost factor and penalty are smaller. The
+# resistance is 5.2, 4.8 and 5.3 % too large after 8 R with R/4, R/8 and R/16, and still grows. With
+# `--basis bspline2` it is 3.0 and 3.6 % too large with R/4 and R/8.
 #
 # The cone is wished in place at first, with its tip `--start` deep, and gaps of half a point close
 # within the first steps. Domains of points shrink with their volume and keep their axes: under the

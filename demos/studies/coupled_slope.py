@@ -28,8 +28,8 @@
 # the suction that lends strength at first fades, and slow is weaker. Loaded fast to less than the
 # undrained limit and then left alone (`--hold`), such a slope stands for a while and fails later.
 #
-# What comes out in cells of H/12: normally consolidated Cam-Clay fails at N = 5.24 (Tresca 5.31,
-# H/24: 5.16), and drained moves within 1 % of what the soil without water does. Wet Mohr-Coulomb
+# What comes out in cells of H/12: normally consolidated Cam-Clay fails at N = 5.23, and so does
+# Tresca's clay of the same strength. Drained, it moves within 1 % of the soil without water. Wet Mohr-Coulomb
 # fails at 5.13 fast and 2.67 slowly (2.67 without water, Taylor 2.47); with its suction held at
 # 5.46 fast. Held at N = 4 it fails after $c_v t/H^2 = 0.1$. Of the fast runs all bases and pairs
 # agree within 2 %; without a ghost penalty or aggregation they end before the failure. What is too

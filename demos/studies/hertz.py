@@ -15,7 +15,7 @@
 #
 # `--force` is come to by secants in the depth.
 #
-# What comes out: a cylinder's half-width within 0.1 % from a/h = 6 on, its peak within 4.5 %, 2.1 %
+# What comes out: a cylinder's half-width within 0.2 % from a/h = 6 on, its peak within 4.5 %, 1.3 %
 # and 0.2 % with a/h = 6, 8 and 12; a sphere's force 3.6 % too large with a/h = 6, its half-width
 # 1.8 %. The pressure on single corners alternates by a fifth from one to the next.
 

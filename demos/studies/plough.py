@@ -34,11 +34,11 @@
 # and 23 minutes on two ranks. Steps of half the length (`--step 0.1`) have 6 % less.
 #
 # With `--refine`, cells of the size h follow the share; points split and merge with them, and the
-# balance is to 1e-6. After 0.25 m, in steps of 25 mm, the pull is 145 and 126 kN and the heap 0.19
-# and 0.15 m in cells of 0.25 and 0.125 m, with 5.3 and 7.2 iterations a step. With `--ghost 0.1`
-# it is 136 and 119 kN, with 9.2 and 15.4: sand that falls into the trench behind the share is at
-# the apex of the yield surface, where the tangent is zero. In cells of 0.0625 m (`--step 0.2`) a
-# step takes 13 iterations, and a minute.
+# balance is to 1e-6. After 0.25 m, in steps of 25 mm, the pull is 151 and 128 kN and the heap 0.17
+# and 0.15 m in cells of 0.25 and 0.125 m, with 5.2 and 9.5 iterations per step. With `--ghost 0.1`
+# the pull is 6 % smaller, and a step takes about twice as many iterations: sand that falls into the
+# trench behind the share is at the apex of the yield surface, where the tangent is zero. In cells
+# of 0.0625 m (`--step 0.2`) a step takes a minute.
 
 # %%
 from __future__ import annotations
