@@ -117,7 +117,8 @@ def poromechanics(
             the points.
         fluid: The fluid, water by default.
         gravity: Acceleration b of both phases (m/s²), a vector for UFL such as a DOLFINx
-            constant; None for no gravity. It has the weight of the mixture: subtract no other.
+            constant; None for no gravity. With gravity the form contains the weight of the mixture:
+            do not subtract it again.
         theta: Weight of the flow at the end of the step: 1 is backward Euler, ½ is Crank-Nicolson.
         rho_inf: ρ∞ of `GeneralisedAlpha`; give both the same number. The balance of the water's
             volume then uses the generalised-α method for first-order equations, at the level at
