@@ -97,10 +97,10 @@ def poromechanics(
     `Newmark` for problems with inertia. For `QuasiStatic`, set `points.dt.value`; permeability=0
     then gives the undrained analysis in effective stresses.
 
-    The points carry the fields `pressure` (Pa) and `porosity`. `pressure` may be set before the
-    first step, such as the pressure of water at rest; its gradient follows from it. With gravity,
-    the field `density` (of the mixture, per initial volume) changes
-    with the water that drains.
+    A problem that is made of the form gives the points the fields `pressure` (Pa) and `porosity`.
+    `pressure` may be set before the first step, such as the pressure of water at rest. Its
+    gradient follows from it. With gravity, the field `density` (of the mixture, per initial
+    volume) changes with the water that drains.
 
     Args:
         soil: Law of the effective stress, see `momentum`.
