@@ -1,19 +1,19 @@
 # %% [markdown]
 # # Footings: settlement, bearing capacity, and what locks
 #
-# Half of a layer of ground, 15 m wide and 5 m deep, on a fixed base between smooth walls,
-# carries a strip footing of half-width 2 m. Three clays show three things:
+# Half of a layer of ground, 15 m wide and 5 m deep, lies on a fixed base between smooth walls. It
+# carries a strip footing of half-width 2 m. Three clays show three effects:
 #
 # - `--law cam-clay`: modified Cam-Clay with weight, normally consolidated, under a flexible
-#   smooth footing. Without strain the clay has $p_0 = p_c = 20$ kPa, which a surcharge of as much
-#   on the whole top keeps in equilibrium. Then come the weight, 10 kN/m³ in 20 steps, and
-#   90 kPa on the footing in 50. The linear theory overestimates the settlement, for ground that
-#   is compressed gets thinner and its columns share more load.
-# - `--law tresca`: weightless clay that hardens from 10 to 15 kPa,
-#   $c = c_u + (c_0 - c_u)\,e^{-5\bar\varepsilon^p}$, under 70 kPa on a flexible rough footing in
-#   100 steps. It flows at constant volume, and standard elements are too stiff for that.
-# - `--law tresca-perfect`: the same without hardening under a rigid footing that is pressed down.
-#   The load has a limit, Prandtl's $(2 + \pi)\,c$.
+#   smooth footing. Without strain the clay has $p_0 = p_c = 20$ kPa. A surcharge of the same size
+#   on the whole top keeps it in equilibrium. Then the weight of 10 kN/m³ comes in 20 steps, and
+#   90 kPa on the footing in 50 steps. The linear theory overestimates the settlement: compressed
+#   ground becomes thinner, and its columns share more load.
+# - `--law tresca`: weightless clay that hardens from 10 to 15 kPa, $c = c_u + (c_0 -
+#   c_u)\,e^{-5\bar\varepsilon^p}$, under 70 kPa on a flexible rough footing in 100 steps. It
+#   flows at constant volume, and standard elements are too stiff for this.
+# - `--law tresca-perfect`: the same without hardening, under a rigid footing that is pressed
+#   down. The load has a limit, Prandtl's $(2 + \pi)\,c$.
 #
 # What comes out, with cells of 0.5 m unless said otherwise:
 #
