@@ -16,8 +16,8 @@
 # one field, with known numbers:
 #
 # - **fast** ($c_v t/H^2 = 10^{-4}$): no water leaves. The slope fails as clay of the strength
-#   $c_u$: Tresca's law in total stresses (`undrained`), with Taylor's (1937) number $N = \gamma'
-#   H/c_u = 5.24$ for 60°;
+#   $c_u$: Tresca's law in total stresses (`undrained`), with Taylor's (1937) number
+#   $N = \gamma' H/c_u = 5.24$ for 60°;
 # - **slow** ($c_v t/H^2 = 10^3$): water passes the surface, where its suction is
 #   `--surface-suction`. The suction inside is the same. The soil behaves as soil without water
 #   under the same pressure from outside (`drained`). With Mohr-Coulomb's law, Taylor's numbers

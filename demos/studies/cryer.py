@@ -3,8 +3,8 @@
 #
 # A ball of saturated soil is under an even pressure $p_0$ and drains at its surface. The shell
 # drains first and shrinks onto the core. So the pressure of the core first rises (Cryer 1963).
-# The volume strain e obeys the heat equation. With $p = M\,(e - e(a))$ and $M e(a) - 4G\,u(a)/a =
-# -p_0$, its modes are $\sin(\xi r/a)/r$.
+# The volume strain e obeys the heat equation. With $p = M\,(e - e(a))$ and
+# $M e(a) - 4G\,u(a)/a = -p_0$, its modes are $\sin(\xi r/a)/r$.
 #
 # A quarter of the section is computed. Points are rings about the axis.
 

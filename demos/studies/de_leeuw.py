@@ -3,8 +3,8 @@
 #
 # A long cylinder of saturated soil is under an even pressure $p_0$ and drains at its rim. As in
 # Mandel's problem, the pressure in the middle first rises. The volume strain e obeys the heat
-# equation. With $p = M\,(e - e(a))$ and $M e(a) - 2G\,u(a)/a = -p_0$, its modes are $J_0(\xi
-# r/a)$ with $M J_0(\xi) = 2 G J_1(\xi)/\xi$ (de Leeuw 1965).
+# equation. With $p = M\,(e - e(a))$ and $M e(a) - 2G\,u(a)/a = -p_0$, its modes are
+# $J_0(\xi r/a)$ with $M J_0(\xi) = 2 G J_1(\xi)/\xi$ (de Leeuw 1965).
 #
 # A quarter of the circle is computed on a square grid that does not fit it. Load and drainage act
 # on the edge of the body.

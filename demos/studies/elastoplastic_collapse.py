@@ -7,8 +7,8 @@
 # carry $\rho g H$, nearly three times as much. So the block yields at a third of its weight, and
 # spreads until the foot can carry its height.
 #
-# Half of the block is computed. The law is von Mises' with $f = \sqrt{2 J_2} - \rho_y$ on
-# Hencky's elasticity, without hardening.
+# Half of the block is computed. The law is von Mises' $f = \sqrt{2 J_2} - \rho_y$ on Hencky's
+# elasticity, without hardening.
 
 # %%
 import time

@@ -9,9 +9,9 @@
 #   on the whole top keeps it in equilibrium. Then the weight of 10 kN/m³ comes in 20 steps, and
 #   90 kPa on the footing in 50 steps. The linear theory overestimates the settlement: compressed
 #   ground becomes thinner, and its columns share more load.
-# - `--law tresca`: weightless clay that hardens from 10 to 15 kPa, $c = c_u + (c_0 -
-#   c_u)\,e^{-5\bar\varepsilon^p}$, under 70 kPa on a flexible rough footing in 100 steps. It
-#   flows at constant volume, and standard elements are too stiff for this.
+# - `--law tresca`: weightless clay that hardens from 10 to 15 kPa,
+#   $c = c_u + (c_0 - c_u)\,e^{-5\bar\varepsilon^p}$, under 70 kPa on a flexible rough footing in
+#   100 steps. It flows at constant volume, and standard elements are too stiff for this.
 # - `--law tresca-perfect`: the same without hardening, under a rigid footing that is pressed
 #   down. The load has a limit, Prandtl's $(2 + \pi)\,c$.
 #

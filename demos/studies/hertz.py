@@ -9,10 +9,10 @@
 #
 # One half of the cylinder, or a quarter of the section of the sphere, is solved. Cells have the
 # size h in and around the contact, and grow away from it. The half-width is that of an elliptic
-# pressure with the same second moment: $\langle x^2\rangle = b^2/4$ for a cylinder, $\langle
-# r^2\rangle = 2a^2/5$ for a sphere. The peak is that of the ellipse that fits best within 0.4 of
-# the half-width. The penalty at the corners makes the surface softer. Its share of the approach
-# is `--softness`.
+# pressure with the same second moment: $\langle x^2\rangle = b^2/4$ for a cylinder,
+# $\langle r^2\rangle = 2a^2/5$ for a sphere. The peak is that of the ellipse that fits best
+# within 0.4 of the half-width. The penalty at the corners makes the surface softer. Its share of
+# the approach is `--softness`.
 #
 # With `--force`, secants find the depth for a given force.
 #

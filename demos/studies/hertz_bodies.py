@@ -3,11 +3,11 @@
 #
 # Two bodies of radius R have separate fields on one grid. The grid fits neither of them. Their
 # boundaries touch with `contact_between`. The moduli are $1/E^* = (1-\nu^2)(1/E_1 + 1/E_2)$, and
-# $R^* = R/2$. Cylinders under the line load P touch over the half-width $b = \sqrt{4PR^*/\pi
-# E^*}$, with the pressure $p_0 = 2P/\pi b$ in the middle. The centres of whole cylinders approach
-# by $\delta = \frac{P}{\pi E^*}\left(2\ln\frac{4R}{b} - 1\right)$. Spheres under P touch within
-# $b = (3PR^*/4E^*)^{1/3}$, with $p_0 = 3P/2\pi b^2$ and $\delta = b^2/R^*$ (Johnson, Contact
-# Mechanics, 1985, ch. 4 and 5).
+# $R^* = R/2$. Cylinders under the line load P touch over the half-width
+# $b = \sqrt{4PR^*/\pi E^*}$, with the pressure $p_0 = 2P/\pi b$ in the middle. The centres of
+# whole cylinders approach by $\delta = \frac{P}{\pi E^*}\left(2\ln\frac{4R}{b} - 1\right)$.
+# Spheres under P touch within $b = (3PR^*/4E^*)^{1/3}$, with $p_0 = 3P/2\pi b^2$ and
+# $\delta = b^2/R^*$ (Johnson, Contact Mechanics, 1985, ch. 4 and 5).
 #
 # The halves that face each other are solved: one half of these for cylinders, and a quarter for
 # spheres. Their diametral planes approach by δ. Cells have the size h around the contact, and

@@ -7,8 +7,8 @@
 #   T = \frac{4L}{c}, \quad c = \sqrt{E/\rho} .$$
 #
 # Nothing takes energy out of the bar. So all losses come from the steps in time, or from the
-# mapping of velocities between points and grid. With Hencky's law the nominal stress is $E
-# \ln\lambda / \lambda$. A small $v_0$ gives the linear period. With $v_0 = c/10$ the period is
+# mapping of velocities between points and grid. With Hencky's law the nominal stress is
+# $E \ln\lambda / \lambda$. A small $v_0$ gives the linear period. With $v_0 = c/10$ the period is
 # 0.25 % longer, and the first zero of the momentum is 6 % off.
 #
 # With `--moving` the bar is free at both ends, flies through the grid with the speed

@@ -7,12 +7,12 @@
 #
 # $$ \cos(2\theta - \psi) = \frac{\cos\psi}{1 + \sin\psi}, \qquad p = 2 c_u (1 + \psi), $$
 #
-# The pressure p acts up to a lip that is λc above the first surface, with $\lambda = (1 +
-# \lambda)\sin(\theta - \psi)/\cos\theta$. The wedge carries $2 p\,(1 + \lambda)\,c \tan\theta$
-# (Hill, Lee & Tupper 1947). One half is solved, to the depth `--depth`. The slope of the force
-# from 0.3 of this depth on is compared. At first only a few corners touch, so that the force
-# starts too large. The force is not smooth, because points come to the side of the wedge one by
-# one.
+# The pressure p acts up to a lip that is λc above the first surface, with
+# $\lambda = (1 + \lambda)\sin(\theta - \psi)/\cos\theta$. The wedge carries
+# $2 p\,(1 + \lambda)\,c \tan\theta$ (Hill, Lee & Tupper 1947). One half is solved, to the depth
+# `--depth`. The slope of the force from 0.3 of this depth on is compared. At first only a few
+# corners touch, so that the force starts too large. The force is not smooth, because points come
+# to the side of the wedge one by one.
 #
 # The corners of contact follow the material. Corners of domains that do not turn would make the
 # lip a stair. F-bar, which footings on clay need, makes the clay flow too much here (by a third
