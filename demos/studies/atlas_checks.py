@@ -1,7 +1,7 @@
-"""What would be wrong in a problem of the stability atlas, although its steps converge.
+"""Checks of the stability atlas that find wrong results of steps that converge.
 
-The checks know nothing of how the steps were solved: they look at the points' fields and at the
-rigid bodies' outlines alone. Bounds are wide enough for what a penalty or a mean of cells leaves.
+The checks use only the fields of the points and the outlines of the rigid bodies, not the solver.
+Bounds are wide enough for the errors of a penalty and of means over cells.
 """
 
 from __future__ import annotations

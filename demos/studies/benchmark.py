@@ -1,22 +1,23 @@
 # %% [markdown]
 # # Time against error, and how both grow
 #
-# - **Work and precision** (`--scenes`): five scenes whose result is known — a column that compacts
+# - **Work and precision** (`--scenes`): five scenes with a known result: a column that compacts
 #   under its weight, a cantilever, a footing, sand that collapses, a ring that turns within
-#   itself — in all bases, refinements, points per cell and stabilisations: processor time of the
-#   steps against the error, and what a step's time consists of.
-# - **Growth** (`--growth`): with points, with the grid around a body, with ranks, of as much work
-#   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or
-#   DOLFINx send by MPI themselves is not counted.
-# - **Other codes** (`--peers`): Kratos on the column, in turn with ours, medians of five: one
-#   element wide among the scenes, and as the cases are. Where pip put it in a folder of its own,
-#   the variable `PEERS` names it. For explicit steps see `explicit_speed.py --peers`.
+#   itself. They run in all bases, refinements, points per cell and stabilisations. The figures
+#   are the processor time of the steps against the error, and the parts of the time of a step.
+# - **Growth** (`--growth`): with points, with the grid around a body, and with ranks, for the
+#   same work (strong) and for the same work per rank (weak), with the messages that PETSc sends.
+#   Messages that Python or DOLFINx send by MPI themselves are not counted.
+# - **Other codes** (`--peers`): Kratos on the column, in turn with this code, medians of five:
+#   one element wide among the scenes, and with the sizes of the cases. If pip has put Kratos into
+#   a folder of its own, the variable `PEERS` names this folder. For explicit steps see
+#   `explicit_speed.py --peers`.
 # - **Cases** (`--cases`): the column in 40 steps, one element wide and 64 high, and 16 wide and
-#   256 high. Memory is the largest that the process ever held less what it held after a small
-#   run, for each point. `--stabilisations all` solves each case with every stabilisation against
-#   small cuts as well, and counts how often a step calls the code of the stabilisations: an unused
-#   one costs a scene one question a step, whether any nodes follow others. `--laws` and `--facets`
-#   time parts, `--plastic 80` implicit steps of Mohr–Coulomb sand, stage by stage.
+#   256 high. Memory is the largest memory of the process less that of a small run, per point.
+#   `--stabilisations all` solves each case with every stabilisation against small cuts, and
+#   counts the calls of their code per step: an unused stabilisation costs one question per step,
+#   whether any nodes follow others. `--laws` and `--facets` time parts. `--plastic 80` times
+#   implicit steps of Mohr–Coulomb sand, stage by stage.
 #
 # `--quick` takes the smallest sizes of all, within a minute or two. Empty lists, as in `--scenes=`,
 # leave parts out.

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A cantilever is let go, and swings
 #
-# A beam of length $L$ and depth $d$ is held at one end. Gravity begins to act in one go, and
-# the beam swings down, far beyond the deflection at which it would rest. Where its tip turns,
-# and when, tells whether inertia, stiffness at large rotations and energy are right together.
+# A beam of length $L$ and depth $d$ is held at one end. Gravity acts from the first step on. The
+# beam swings down, far beyond the deflection at which it would rest. The place and the time at
+# which its tip turns test inertia, stiffness at large rotations, and energy together.
 #
 # As long as deflections are small, the beam of Euler and Bernoulli has the answer: each mode
 # of bending oscillates about its share of the static deflection,

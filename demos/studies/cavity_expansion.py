@@ -1,20 +1,21 @@
 # %% [markdown]
 # # A cavity expands, long and round like a borehole or round like a ball
 #
-# A pressure widens a cavity of radius $a = 1$ in an elastic shell (Hencky), or in clay
-# (Hencky and Tresca), whose outer face at $b$ is free or, with `--outer inf`, infinitely far away.
-# Cones, piles and pressuremeters are judged by it. Both are axisymmetric: a long
-# cylinder is a slice between smooth plates, a sphere a quarter of its section. In the sphere
-# nothing is aligned with the grid; the axis is no boundary of the body.
+# A pressure widens a cavity of radius $a = 1$ in an elastic shell (Hencky), or in clay (Hencky
+# and Tresca). The outer face at $b$ is free. With `--outer inf` it is infinitely far away. Cavity
+# expansion is a test for cones, piles and pressuremeters. Both cavities are axisymmetric: the
+# cylinder is a slice between smooth plates, the sphere is a quarter of its section. The sphere is
+# not aligned with the grid. The axis is no boundary of the body.
 #
 # With $k = 1$ (cylinder) or $2$ (sphere) the exact solutions are those of
 #
 # $$\frac{d\sigma_r}{dr} + \frac kr (\sigma_r - \sigma_\theta) = 0, \qquad
 #   \lambda_r = \frac{dr}{dR}, \quad \lambda_\theta = \frac rR .$$
 #
-# An incompressible body keeps its volume, $r^{k+1} - R^{k+1} = r(a)^{k+1} - a^{k+1}$, so that
-# strains are known and the pressure is an integral. With $I_r = G/c_u$ an infinite one has the
-# limits $1 + \ln I_r$ and $\frac43 (1 + \ln I_r)$ (Hill 1950, chapter V; Gibson & Anderson 1961).
+# An incompressible body keeps its volume, $r^{k+1} - R^{k+1} = r(a)^{k+1} - a^{k+1}$. So the
+# strains are known, and the pressure is an integral. With $I_r = G/c_u$, an infinite body has the
+# limits $1 + \ln I_r$ (cylinder) and $\frac43 (1 + \ln I_r)$ (sphere) of $p/c_u$ (Hill 1950,
+# chapter V; Gibson & Anderson 1961).
 
 # %%
 import time

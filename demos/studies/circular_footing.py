@@ -6,10 +6,9 @@
 #
 # $$q = 5.69\,c_u \quad\text{(smooth)}, \qquad q = 6.05\,c_u \quad\text{(rough)}$$
 #
-# (Shield 1955; Eason & Shield 1960; Cox, Eason & Hopkins 1961): more than under a strip, 5.14, for
-# the ground that flows outwards is stretched around as well. The hoop stress decides: it is an
-# edge of Tresca's hexagon that all of the ground stands on. Points are rings, and F-bar keeps
-# them from locking.
+# (Shield 1955; Eason & Shield 1960; Cox, Eason & Hopkins 1961). This is more than under a strip,
+# 5.14: the ground that flows outwards is also stretched around the axis. The hoop stress decides.
+# All of the ground is at an edge of Tresca's hexagon. Points are rings. F-bar prevents locking.
 
 # %%
 import time

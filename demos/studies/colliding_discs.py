@@ -1,18 +1,20 @@
 # %% [markdown]
 # # Two elastic discs collide and part again
 #
-# Two discs of radius $R$ fly at each other along the diagonal of a square, are pressed
-# flat, and fly apart (Sulsky, Chen & Schreyer 1994, doi 10.1016/0045-7825(94)90112-0). Without
-# contact (`--contact none`) both move in one field of velocities, which cannot let one into the
-# other: they come to feel each other as soon as they share a node of the grid, a cell or two
-# before they touch, and do not slide. With it (`grid`, Bardenhagen et al. 2001) each has
-# velocities of its own at the nodes; a gap test (`gap`) lets them touch where they do. In implicit
-# steps each has a field of its own, and their rims touch (`bodies`).
+# Two discs of radius $R$ fly at each other along the diagonal of a square, become flat, and fly
+# apart (Sulsky, Chen & Schreyer 1994, doi 10.1016/0045-7825(94)90112-0). `--contact` chooses the
+# contact:
 #
-# By symmetry each disc meets a plane. Conforming elements on a disc that meets a frictionless
-# one (default parameters, neo-Hookean) say: contact lasts 1.097 s; 0.518 s after the touch the
-# kinetic energy is least, 0.053 of that at first; the centres part with 0.908 of the speed at
-# which they met, for a tenth of the energy stays in the discs as vibration.
+# - `none`: both discs move in one velocity field. They feel each other as soon as they share a
+#   node of the grid, a cell or two before they touch. They do not slide.
+# - `grid` (Bardenhagen et al. 2001): each disc has its own velocities at the nodes.
+# - `gap`: the same with a gap test, so that the discs touch where their edges meet.
+# - `bodies`: in implicit steps each disc has its own field, and the edges touch.
+#
+# By symmetry each disc meets a plane. The reference is a disc of conforming elements that meets a
+# frictionless plane (default parameters, neo-Hookean). Contact lasts 1.097 s. The kinetic energy
+# is least 0.518 s after the first touch: 0.053 of that at first. The centres part with 0.908 of
+# the speed at which they met. A tenth of the energy stays in the discs as vibration.
 
 # %%
 from __future__ import annotations

@@ -13,13 +13,12 @@
 #   when the sand has no stress;
 # - 0.607 s, in which all motion dies down.
 #
-# **What sand without cohesion asks of a law.** At the surface, and where the front of the heap
-# breaks up, points lose all contact: they have been stretched, and there is no tension. The
-# return of `mpm.materials.MohrCoulomb` goes to the apex of the pyramid, which is $\tau = 0$
-# for $c = 0$: stress and elastic strain become zero, whatever the strain was, the rest is
-# plastic. Such a point has no stiffness either. It falls freely, by its inertia alone, and takes
-# stress again as soon as it is compressed. In implicit steps it is the mass in $K + 4M/\Delta t^2$
-# that keeps the equations solvable.
+# **The law of sand without cohesion.** At the surface, and where the front of the heap breaks up,
+# points lose all contact: they have been stretched, and sand has no tension.
+# `mpm.materials.MohrCoulomb` returns to the apex of the pyramid, $\tau = 0$ for $c = 0$. Stress
+# and elastic strain become zero, and all strain is plastic. Such a point has no stiffness. It
+# falls freely, by its inertia alone, and has stress again when it is compressed. In implicit
+# steps the mass in $K + 4M/\Delta t^2$ makes the equations solvable.
 
 # %%
 from __future__ import annotations

@@ -1,11 +1,11 @@
 # %% [markdown]
 # # The compacting column under every basis and every stabilisation
 #
-# The column of `column_compaction.py`, solved with each basis and each stabilisation against
-# small cuts at several resolutions: error of the stress, Newton iterations and time. A
-# run that does not finish is recorded as such. Soft stiffness is in the tangent only: its
-# errors are those of no stabilisation at all. Cubic splines get 3² points per cell: across
-# the column, one cell wide, 2² points leave some of their functions without stiffness.
+# The column of `column_compaction.py` with each basis and each stabilisation against small cuts,
+# at several resolutions: error of the stress, Newton iterations and time. A run that does not
+# come to the end is listed as such. Soft stiffness is in the tangent only, so its errors are
+# those without stabilisation. Cubic splines have 3² points per cell. The column is one cell wide,
+# and with 2² points some of their functions across the column have no stiffness.
 
 # %%
 from __future__ import annotations

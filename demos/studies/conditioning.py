@@ -1,20 +1,21 @@
 # %% [markdown]
 # # Small cuts: conditioning and critical time steps
 #
-# A body that is pushed through the background grid overlaps some of its cells by a
-# sliver. The basis functions of such cells carry next to no mass and no stiffness, so that
-# the condition numbers $\kappa(K)$ and $\kappa(M)$ and the critical time step
+# A body moves through the background grid. It fills only a sliver of some cells. The basis
+# functions of such cells have almost no mass and no stiffness. So the condition numbers
+# $\kappa(K)$ and $\kappa(M)$ and the critical time step
 #
 # $$\Delta t_{\mathrm{crit}} = \frac{2}{\sqrt{\lambda_{\max}}},\qquad K x = \lambda M x,$$
 #
-# depend on where the body happens to lie. Here a free elastic block is put at many places
-# — in 2D turned as well — and $K$ and $M$ are assembled there, rigid motions left out
-# of $\kappa(K)$. In 1D the block is four cells long with two points per cell and unit
-# stiffness and density (Coombs 2023, doi 10.1002/nme.7332), and only full cells are roots
-# of aggregation. In 2D it is eight cells wide with 3² points per cell: cubic splines need
-# that many points, and room for roots of four by four functions where the block is turned.
-# The ghost penalty of linear functions and of GIMP is ten times the published one there:
-# with E/30 the worst place of linear functions has thirty times the κ(K) of an uncut block.
+# depend on the place of the body. Here a free elastic block is put at many places, in 2D also at
+# many angles. $K$ and $M$ are assembled at each place. $\kappa(K)$ leaves out the rigid modes.
+#
+# In 1D the block is four cells long, with two points per cell and unit stiffness and density
+# (Coombs 2023, doi 10.1002/nme.7332). Only full cells are roots of aggregation. In 2D the block
+# is eight cells wide, with 3² points per cell. Cubic splines need so many points. A turned block
+# must also have room for roots of four by four functions. In 2D the ghost penalty of linear
+# functions and of GIMP is ten times the published one: with E/30, the worst place of linear
+# functions has thirty times the κ(K) of an uncut block.
 
 # %%
 from __future__ import annotations

@@ -4,7 +4,7 @@ Teh & Houlsby (1991) took paths of strain and von Mises' clay. Lu, Randolph, Hu 
 doi 10.1680/geot.2004.54.4.257) moved the cone by large displacements through Tresca's clay. They
 found 16 % more than Teh & Houlsby for I_r = 50, 11 % more for 100, and the same for 300.
 
-What comes out with `--refine --h 0.25`, means of the last 2 R of the way, in % of Teh & Houlsby's:
+Results with `--refine --h 0.25`, means of the last 2 R of the way, in % above Teh & Houlsby's:
 
 | clay | way | I_r = 50 | 100 | 300 |
 |---|---|---|---|---|
@@ -15,18 +15,18 @@ What comes out with `--refine --h 0.25`, means of the last 2 R of the way, in % 
 | von Mises, `--criterion shear` | 16 R | | | -6.3 |
 | von Mises, `--criterion compression` | 8 R | | +7.2 | |
 
-Hence the way and the law decide, and the resistance after 8 R is not the steady one. For I_r = 100
-it ends 0.6 % below Lu's. For I_r = 300 it ends 7 % above, and grows by 0.2 % per R. In cells of R/8
-Tresca's clay of I_r = 100 finds +6.0 % after 8 R and +8.8 % after 14 R; von Mises' clay finds after
-8 R -5.0 % by shear, +6.9 % by compression, and +7.4 % by compression for I_r = 50.
+So the way and the law decide: the resistance after 8 R is not the steady one. For I_r = 100 it ends
+0.6 % below that of Lu et al. For I_r = 300 it ends 7 % above, and still grows by 0.2 % per R. In
+cells of R/8 Tresca's clay of I_r = 100 has +6.0 % after 8 R and +8.8 % after 14 R. After 8 R von
+Mises' clay has -5.0 % by shear, +6.9 % by compression, and +7.4 % by compression for I_r = 50.
 
-Other changes move the resistance for I_r = 100 after 8 R by less: a start at 12 R by +0.4 %, a
-ground twice as wide and deep by -0.2 %, cells that grow by 0.15 instead of 0.35 by -0.2 %, and fine
-cells along 4 R of the shaft by nothing. Poisson's ratio 0.49 gives 5 % more, and the share of a
-point's own volume change in F-bar (0.03) is 2 % of that. With 0.45, a share of 0.1 gives 1.4 %
-more, and 0.005 gives 0.8 % less. In cells of R/8, 0.005 ends at +2.3 % and 0.002 at -2.7 %. These
-are no better: points move in waves that such a share does not hold. With 0.002 steps are halved and
-the resistance falls; with 0.005 so do I_r = 300, and a ratio of 0.49, where the run fails.
+Other changes have a smaller effect on the resistance for I_r = 100 after 8 R: a start at 12 R
++0.4 %, a ground twice as wide and deep -0.2 %, cells that grow by 0.15 instead of 0.35 -0.2 %, fine
+cells along 4 R of the shaft none. Poisson's ratio 0.49 gives 5 % more: 2 % come from the share of
+a point's own volume change in F-bar (0.03). With the ratio 0.45, a share of 0.1 gives
+1.4 % more, and 0.005 gives 0.8 % less. In cells of R/8, 0.005 ends at +2.3 % and 0.002 at -2.7 %.
+Small shares are not better: points then move in waves. With 0.002 steps are halved, and the
+resistance falls. With 0.005 the same happens for I_r = 300. With a ratio of 0.49 the run fails.
 """
 
 from __future__ import annotations

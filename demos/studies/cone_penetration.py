@@ -1,55 +1,61 @@
 # %% [markdown]
 # # A cone penetrates the ground: clay against Teh & Houlsby's factor, sand under its weight
 #
-# A penetrometer of 60° and the radius R is pressed down. In weightless clay that flows under the
-# shear stress $c_u$ (Tresca, rigidity index $I_r = G/c_u$) its resistance is steady once nothing
-# flows to the surface any more. Teh & Houlsby (1991, doi 10.1680/geot.1991.41.1.17) found
+# A penetrometer of 60° with the radius R is pressed down. In weightless clay (Tresca, undrained
+# strength $c_u$, rigidity index $I_r = G/c_u$) its resistance becomes steady when the clay no
+# longer flows to the surface. Teh & Houlsby (1991, doi 10.1680/geot.1991.41.1.17) found
 #
 # $$ N_c = \frac{q_c}{c_u} = \frac43 (1 + \ln I_r)\left(1.25 + \frac{I_r}{2000}\right) $$
 #
-# for smooth cones and shafts, in clay whose stresses at rest do not differ. In sand of the relative
-# density RD the stress at rest is that of a deposit, with $K_0 = 1 - \sin\varphi$ and a stiffness
-# that rises with depth; the parameters are Brinkgreve's (`mpm.materials.sand`), the scene is the
-# penetrometer of AMPSSIE's tutorials.
+# for smooth cones and shafts, in clay with an isotropic stress at rest. In sand of the relative
+# density RD, the stress at rest is that of a deposit with $K_0 = 1 - \sin\varphi$, and the
+# stiffness grows with depth. The parameters are Brinkgreve's (`mpm.materials.sand`). The scene is
+# the penetrometer of AMPSSIE's tutorials.
 #
-# With `--refine`, cells of the size h follow the tip alone; points split and merge with them, and
-# keep the mean volumes of F-bar. Ghost factor and penalty are smaller. It is 5.2, 4.7 and 5.2 % too
-# much after 8 R with R/4, R/8, R/16, and grows; 3.0 and 3.5 % with R/4, R/8 of `--basis bspline2`.
+# With `--refine`, cells of the size h follow the tip alone. Points split and merge with them, and
+# keep the mean volumes of F-bar. The ghost factor and the penalty are smaller. The resistance is
+# 5.2, 4.8 and 5.3 % too large after 8 R with R/4, R/8 and R/16, and still grows. With `--basis
+# bspline2` it is 3.0 and 3.6 % too large with R/4 and R/8.
 #
-# The cone is wished in place at first, with its tip `--start` deep, and gaps of half a point close
-# within the first steps. Domains of points shrink with their volume and keep their axes: under the
-# tip the ground is stretched along the cone's face without end, and stretched domains would touch
-# the cone from far away, as if it were wider by R/5.
+# The cone is in the ground from the start, with its tip at the depth `--start`. Gaps of half a
+# point close in the first steps. Domains of points change with their volume and keep their axes.
+# Under the tip the ground is stretched along the face of the cone without end. Stretched domains
+# would touch the cone from far away, as if it were wider by R/5.
 #
-# A ghost penalty resists the increment where cells are cut, and so what flows past the cone:
-# with its usual factor the resistance is too large by a third in cells of R/2 and by a seventh in
-# cells of R/4. A tenth of that (`--ghost`) keeps such cells as well. Tip and shoulder are rounded
-# with the radius h, and the penalty is soft enough for Newton's method to find which corners touch;
-# the force has waves, for each row of points sticks to the tip before it goes past.
+# A ghost penalty resists the increment in cut cells, and so the flow past the cone. With its
+# usual factor the resistance is too large by a third in cells of R/2, and by a seventh in cells
+# of R/4. A tenth of the factor (`--ghost`) is enough. Tip and shoulder are rounded with the
+# radius h. The penalty of contact is soft enough for Newton's method to find the corners that
+# touch. The force has waves, because each row of points sticks to the tip before it goes past.
 #
-# What comes out in clay over four diameters, from 10 R to 18 R: 13.8 % too much with h = R/2,
-# 11.0 % with R/3 and 9.7 % with R/4 (I_r = 100), while the force still grows by 3.6 to 3.8 %; with
-# h = R/2 10.1 % and 8.3 % too much for I_r = 50 and 200. Newton's method takes 5 to 8 iterations a
-# step, 14 at most, and no step is halved. Sand 4 m deep: 2.4 and 2.5 MPa with ghost penalties in
-# cells of R/4 and R/2; aggregation comes as far with R/3, not with R/2, where ground that was
-# pushed up beside the cone turns inside out; without stabilisation the first steps fail.
+# Results in clay over four diameters, from 10 R to 18 R: the resistance is 13.8 % too large with
+# h = R/2, 11.0 % with R/3 and 9.7 % with R/4 (I_r = 100). The force still grows by 3.6 to 3.8 %.
+# With h = R/2 it is 10.1 % and 8.3 % too large for I_r = 50 and 200. Newton's method takes 5 to 8
+# iterations per step, 14 at most, and no step is halved.
+#
+# Results in sand at a depth of 4 m: 2.4 and 2.5 MPa with ghost penalties in cells of R/4 and R/2.
+# Aggregation comes as far with R/3. With R/2 it does not, because ground beside the cone turns
+# inside out. Without stabilisation the first steps fail.
 #
 # With `--drained`, `--undrained`, `--partly` or `--velocity` the ground is saturated Cam-Clay,
-# normally consolidated (`--ratio`) under an even stress (`cone_in_water.py`). What counts is
-# $v d/c_v$, by the diameter d and the virgin clay's $c_v$. `--curve` takes several velocities: the
-# resistance goes from the drained to the undrained one along an S, the known "backbone" (DeJong &
-# Randolph, 2012), half of it at $v d/c_v \approx 3$. Without drainage Teh & Houlsby's factor is to
-# be compared with, by the closed form of the clay's $c_u$.
+# normally consolidated (`--ratio`) under an isotropic stress (`cone_in_water.py`). The normalised
+# velocity is $v d/c_v$, with the diameter d and the $c_v$ of virgin clay. `--curve` takes several
+# velocities. The resistance goes from the drained to the undrained one along an S-shaped curve,
+# the known "backbone" (DeJong & Randolph, 2012), with its middle at $v d/c_v \approx 3$. Without
+# drainage the reference is Teh & Houlsby's factor, with the closed form of the undrained strength
+# $c_u$ of the clay.
 #
-# What comes out in cells of R/2, after 8 R: 9.7 without drainage (Teh & Houlsby 9.72), 9.4 at
-# $v d/c_v = 1000$, 14.5 drained, 1.55 times as much; that still grows by 7 % over four diameters.
-# Half is lost at 5.9 (V50 = 5.8, m = 1.2 fit), with c_v of the ground at rest; 77 % of what is left
-# at 1000 is pore pressure. With five times the penalty, points are crushed at the shoulder.
+# Results in cells of R/2, after 8 R: the factor is 9.7 without drainage (Teh & Houlsby 9.72), 9.4
+# at $v d/c_v = 1000$, and 14.5 drained. The drained one is 1.55 times as large, and still grows
+# by 7 % over four diameters. The middle of the curve is at 5.9 (a fit has V50 = 5.8, m = 1.2),
+# with c_v of the ground at rest. At 1000, pore pressure is 77 % of the resistance. With five
+# times the penalty, points are crushed at the shoulder.
 #
-# A quarter of the cone in three dimensions is below the axisymmetric cone with the same lines
-# (h = R/2, zone 1.5, growth 2): from 7.2 R to 8.4 R by 9.5 %, and by 5 % below those of R/4, whose
-# waves are smaller. It begins with more room around the cone, for cubes stand further off what is
-# round than rings do: gaps beside it are half of the cone's volume, and a quarter if axisymmetric.
+# A quarter of the cone in three dimensions has a smaller resistance than the axisymmetric cone on
+# the same grid lines (h = R/2, zone 1.5, growth 2): by 9.5 % from 7.2 R to 8.4 R. It is 5 % below
+# the axisymmetric one in cells of R/4, whose waves are smaller. The gaps around the cone are
+# larger at first, because cubes leave more room beside a round body than rings do: gaps are half
+# of the volume of the cone, and a quarter in the axisymmetric run.
 
 # %%
 import math

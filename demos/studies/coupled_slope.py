@@ -1,45 +1,49 @@
 # %% [markdown]
 # # A saturated slope fails: fast without drainage, slowly with it, or late
 #
-# A slope 6 m high stands on 2 m of the same soil, under water, and its weight grows as in a
-# centrifuge, until it fails. Pressures are those beyond the hydrostatic one, so that the weight is
-# the buoyant one, γ' per volume. At first the soil is weightless under the even effective stress
-# $p_0$, by the suction $-p_0$ of its water. So its undrained strength is the same everywhere and
-# known in closed form,
+# A slope 6 m high stands on 2 m of the same soil, under water. Its weight grows as in a
+# centrifuge, until it fails. Pressures are excess pressures, so the weight is the buoyant weight
+# γ'. At first the soil is weightless under the isotropic effective stress $p_0$, because its
+# water has the suction $-p_0$. So its undrained strength is the same everywhere, and known in
+# closed form:
 #
 # - Cam-Clay: $c_u = \frac{M}{\sqrt3}\, p_0 (R/2)^{1 - \hat\kappa/\hat\lambda}$, with the
 #   overconsolidation ratio $R$ (Wood 1990, ch. 7);
 # - Mohr-Coulomb without dilation: $c_u = c' \cos\varphi + p_0 \sin\varphi$, for the mean effective
 #   stress of the plane stays.
 #
-# That is why the weight grows, and nothing is put on or dug away: both limits are problems with one
-# field and have numbers of their own.
+# For this reason the weight grows, and no soil is added or removed. Both limits are problems with
+# one field, with known numbers:
 #
-# - **fast** ($c_v t/H^2 = 10^{-4}$): no water leaves, and the slope fails as clay of the strength
-#   $c_u$ does: Tresca's law in total stresses (`undrained`), Taylor's (1937) number
+# - **fast** ($c_v t/H^2 = 10^{-4}$): no water leaves. The slope fails as clay of the strength
+#   $c_u$: Tresca's law in total stresses (`undrained`), with Taylor's (1937) number
 #   $N = \gamma' H/c_u = 5.24$ for 60°;
-# - **slow** ($c_v t/H^2 = 10^3$): water comes and goes through the surface, where its suction is
-#   `--surface-suction`, and inside it is the same: the soil without water under the same pressure
-#   from outside (`drained`). With Mohr-Coulomb's law Taylor's numbers hold of the cohesion
-#   $c' + s \tan\varphi$, $s$ being that suction.
+# - **slow** ($c_v t/H^2 = 10^3$): water passes the surface, where its suction is
+#   `--surface-suction`. The suction inside is the same. The soil behaves as soil without water
+#   under the same pressure from outside (`drained`). With Mohr-Coulomb's law, Taylor's numbers
+#   hold for the cohesion $c' + s \tan\varphi$ with this suction $s$.
 #
-# Normally consolidated Cam-Clay contracts: fast is weaker. Its suction held at the surface, it does
-# not fail at all when loaded slowly, but settles. Where the surface is wet (Mohr-Coulomb's default)
-# the suction that lends strength at first fades, and slow is weaker. Loaded fast to less than the
-# undrained limit and then left alone (`--hold`), such a slope stands for a while and fails later.
+# Normally consolidated Cam-Clay contracts, so the fast slope is weaker. With constant suction at
+# the surface, the slow slope does not fail: it settles. Where the surface is wet (the default of
+# Mohr-Coulomb), the suction and its strength fade, and the slow slope is weaker. A slope that is
+# loaded fast to less than the undrained limit, and then left alone (`--hold`), stands for a while
+# and fails later.
 #
-# What comes out in cells of H/12: normally consolidated Cam-Clay fails at N = 5.24 (Tresca 5.31,
-# H/24: 5.16), and drained moves within 1 % of what the soil without water does. Wet Mohr-Coulomb
-# fails at 5.13 fast and 2.67 slowly (2.67 without water, Taylor 2.47); with its suction held at
-# 5.46 fast. Held at N = 4 it fails after $c_v t/H^2 = 0.1$. Of the fast runs all bases and pairs
-# agree within 2 %; without a ghost penalty or aggregation they end before the failure. What is too
-# much of the slow one comes of the cells and their locking: 2.67 in cells of H/12 is 2.43 in those
-# of H/18, 2.66 with 3² points per cell, 2.81 with quadratic splines (2.90 without means of cells),
-# and without means of cells, or in those of H/6, it carries all of N = 3.2.
+# Results in cells of H/12: normally consolidated Cam-Clay fails at N = 5.23, and so does Tresca's
+# clay of the same strength. Drained, it moves within 1 % of the soil without water. Wet
+# Mohr-Coulomb soil fails at 5.13 fast and at 2.67 slowly (2.67 without water, Taylor 2.47). With
+# constant suction it fails at 5.46 fast. Held at N = 4, it fails after $c_v t/H^2 = 0.1$. In fast
+# runs all bases and pairs agree within 2 %. Without a ghost penalty or aggregation they end
+# before the failure.
 #
-# The failure is where the farthest point moves by 0.05 H per unit of N (in `--hold`: is 0.05 H
-# further than at its start); quasi-static steps go on beyond it, until the heap carries what the
-# soil cannot.
+# The slow limit is too high because of the size of the cells and of locking. 2.67 in cells of
+# H/12 becomes 2.43 in cells of H/18, 2.66 with 3² points per cell, and 2.81 with quadratic
+# splines (2.90 without F-bar). Without F-bar, or in cells of H/6, the slope carries all of N =
+# 3.2.
+#
+# The failure is the load at which the farthest point moves by 0.05 H per unit of N; with
+# `--hold`, the time at which it has moved by 0.05 H. Quasi-static steps go on beyond it, until
+# the heap carries the load.
 
 # %%
 from __future__ import annotations

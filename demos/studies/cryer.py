@@ -1,12 +1,12 @@
 # %% [markdown]
 # # Cryer's sphere: pressure that rises by a fifth before it falls
 #
-# A ball of saturated soil is put under an even pressure $p_0$ all around, and drains at its
-# surface. The shell that has drained shrinks upon the core, whose pressure rises first (Cryer
-# 1963). Volume strain e obeys the heat equation; with $p = M\,(e - e(a))$ and
-# $M e(a) - 4G\,u(a)/a = -p_0$ its modes are $\sin(\xi r/a)/r$.
+# A ball of saturated soil is under an even pressure $p_0$ and drains at its surface. The shell
+# drains first and shrinks onto the core. So the pressure of the core first rises (Cryer 1963).
+# The volume strain e obeys the heat equation. With $p = M\,(e - e(a))$ and
+# $M e(a) - 4G\,u(a)/a = -p_0$, its modes are $\sin(\xi r/a)/r$.
 #
-# A quarter of the meridian's section is computed, whose points are rings about the axis.
+# A quarter of the section is computed. Points are rings about the axis.
 
 # %%
 from __future__ import annotations

@@ -21,12 +21,13 @@
 # What comes out:
 #
 # - The fluke is laid at 35°, and pitches within a third of a metre to the attitude that the line
-#   asks for. In cells of 0.125 m (`--levels 2 --way 0.4`) it is inclined by 27.5° over the second
-#   half of the way, by 24.3° after Neubecker and Randolph. It dives at 25.4°, after them at 25.8°.
+#   asks for. In cells of 0.125 m (`--levels 2 --way 0.4`) it is inclined by 26.5° over the second
+#   half of the way, by 24.3° after Neubecker and Randolph. It dives at 21°, after them at 25.8°.
 #   The tension is 38 kN, 3.8 strengths on the fluke's area.
-# - In cells of 0.25 m the attitude is found too, 24.6° for 26.6°. But the fluke dives at 14° only,
-#   and the tension is 45 kN: such cells hold a blunt fluke that is thinner than they are.
-# - Gaps stay open behind the fluke, for the clay has no weight.
+# - In cells of 0.25 m the inclination is 25.4°, after them 27.7°. But the fluke dives at 15.7°
+#   only, after them at 28.5°, and the tension is 49 kN: such cells hold a blunt fluke that is
+#   thinner than they are.
+# - Gaps stay open behind the fluke, because the clay has no weight.
 # - A fluke that is laid at 22° finds no equilibrium in the first step.
 
 # %%

@@ -1,14 +1,14 @@
 # %% [markdown]
 # # A soft block collapses under its own weight
 #
-# A block of clay, 16 m wide and 8 m high, stands on a smooth floor, and its weight is applied
-# in forty steps (Coombs & Augarde 2020, doi 10.1016/j.advengsoft.2019.102748). Its foot can carry
-# $\tfrac{2}{\sqrt 3}\sqrt{\tfrac32}\,\rho_y = \sqrt 2\,\rho_y$ in plane strain, and carries
-# $\rho g H$: at full gravity nearly three times as much. It therefore yields at a third of its
-# weight and spreads until what is left of its height can be borne.
+# A block of clay, 16 m wide and 8 m high, stands on a smooth floor. Its weight comes in forty
+# steps (Coombs & Augarde 2020, doi 10.1016/j.advengsoft.2019.102748). In plane strain its foot
+# can carry $\tfrac{2}{\sqrt 3}\sqrt{\tfrac32}\,\rho_y = \sqrt 2\,\rho_y$. At full gravity it must
+# carry $\rho g H$, nearly three times as much. So the block yields at a third of its weight, and
+# spreads until the foot can carry its height.
 #
-# Half of the block is computed. The law is von Mises' with $f = \sqrt{2 J_2} - \rho_y$ on
-# Hencky's elasticity, without hardening.
+# Half of the block is computed. The law is von Mises' $f = \sqrt{2 J_2} - \rho_y$ on Hencky's
+# elasticity, without hardening.
 
 # %%
 import time

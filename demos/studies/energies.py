@@ -1,20 +1,21 @@
 # %% [markdown]
 # # Energy that is kept: blocks, free bodies, impacts
 #
-# What a step in time adds to a body's energy, or takes from it, without a physical cause.
+# Steps in time may add energy to a body, or take energy from it, without a physical cause.
 # `energies` counts all of it, with losses by name.
 #
-# - `--scene block`: the weight of a cut elastic block is dropped on suddenly; what is lost of the
-#   peak energy in two periods.
+# - `--scene block`: the weight of a cut elastic block acts suddenly. The figure is the share of
+#   the peak energy that is lost in two periods.
 # - `--scene bodies`: discs and boxes in free motion, of random laws, bases, sizes, velocities and
-#   steps; what is kept of the first energy.
+#   steps. The figure is the share of the first energy that is kept.
 # - `--scene impact`: a free rigid disc hits a free elastic block, with friction or without.
 # - `--scene impacts`: random rigid discs and boxes hit random elastic ones.
-# - `--scene discs`: two elastic discs with fields of their own meet, aside of each other by
-#   `--aside`.
+# - `--scene discs`: two elastic discs with separate fields collide. `--aside` is the offset of
+#   their lines.
 #
-# In implicit steps contact acts by its mean force over a step, which gives back what it has stored.
-# In explicit ones it acts at their start, and the points move by the velocities that strain them.
+# In implicit steps contact acts by its mean force over a step. This force gives back the energy
+# that it has stored. In explicit steps contact acts at the start of the step, and the points move
+# by the velocities that strain them.
 
 # %%
 import math

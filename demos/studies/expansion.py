@@ -5,17 +5,16 @@
 #
 # $$v = A\,(x - x_c), \qquad \text{so that} \qquad x(t) = x_c + (I + t A)(X - x_c)$$
 #
-# for ever: no force acts. The grid can represent this velocity, and yet what it does with it
-# depends on the mass that divides the momenta at the nodes. A node at the edge of the body
-# takes its lumped mass and its momentum from points on one side of it only; their mean
-# velocity is not that at the node, wherever the body lies, by a share of a cell. A consistent
-# mass gives the affine field back exactly, if a ghost penalty keeps it from being singular
-# where a node has next to no points: the penalty acts on jumps of gradients, which an affine
-# field does not have.
+# at all times, because no force acts. The grid can represent this velocity. The result depends on
+# the mass at the nodes. A node at the edge of the body has mass and momentum from points on one
+# side only. With a lumped mass it gets their mean velocity. This is not the velocity at the node:
+# it is wrong by a share of a cell, wherever the body lies. A consistent mass gives the affine
+# field back exactly. It is singular where a node has almost no points. A ghost penalty prevents
+# this. It acts on jumps of gradients, and an affine field has none.
 #
-# `velocity_error` is the largest error of a nodal velocity at the beginning, for each place
-# of the body in the grid, as a share of the largest velocity in it; `position_error` the
-# largest error of a point in the end as a share of the largest displacement.
+# `velocity_error` is the largest error of a nodal velocity at the start, for each place of the
+# body, as a share of the largest velocity in the body. `position_error` is the largest error of a
+# point at the end, as a share of the largest displacement.
 
 # %%
 from __future__ import annotations

@@ -1,15 +1,15 @@
 # %% [markdown]
 # # Explicit steps: how many points per second
 #
-# A block of side 1 m that shears and turns everywhere, so that every point strains in every step,
-# and with a law that yields every point yields. What counts is points times steps over the time
-# that the steps took: no start, no compilation, no output. Each case is run in turn with all
-# others, several times, and the median is told, since a machine that others use changes its
-# speed from minute to minute; that is also why what other codes reach (`--peers warp,taichi`,
-# where their packages are installed) is measured in the same run: the same scene, basis, law and
-# double precision, and their points end where ours do. Under `mpirun` the time is that of
-# all ranks together. With `--tools` rigid bodies rub along the block's upper side, and each case is
-# taken without them, with them, and with them in general steps that no loop fuses.
+# A block of side 1 m shears and turns everywhere. So every point strains in every step, and with
+# a plastic law every point yields. The speed is points times steps over the time of the steps,
+# without start, compilation and output. All cases run in turn, several times, and the median is
+# printed, because a shared machine changes its speed from minute to minute. For the same reason
+# other codes (`--peers warp,taichi`, where their packages are installed) run in the same session.
+# They have the same scene, basis, law and double precision, and their points end at the same
+# places. Under `mpirun` the time is that of all ranks together. With `--tools` rigid bodies rub
+# along the upper side of the block. Each case then runs without them, with them, and with them in
+# general steps that are not fused.
 
 # %%
 from __future__ import annotations

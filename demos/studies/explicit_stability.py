@@ -1,37 +1,39 @@
 # %% [markdown]
 # # Explicit steps through the grid: what each stabilisation does to step, energy and stress
 #
-# A square block flies obliquely through the grid and vibrates. Seen from the block nothing depends
-# on how fast it flies: the same block at rest, on a grid that it fits, vibrates alike, and its
-# energy stays. What the moving block does otherwise is the grid's doing. Its edges cut cells
-# anew in every step, by slivers again and again.
+# A square block flies obliquely through the grid and vibrates. Its vibration does not depend on
+# its speed of flight. The same block at rest, on a grid that it fits, vibrates in the same way,
+# and keeps its energy. All differences come from the grid: the edges of the moving block cut
+# cells in every step, again and again by slivers.
 #
 # **What goes wrong.** With linear functions a point that enters a cell gives the new nodes a
-# weight close to zero, and a gradient that is not: their acceleration is
-# $\sigma V \nabla S/(m S)$, without bound as $S \to 0$. GIMP and splines lose weight and gradient
-# together; lumping then keeps the step. With the consistent mass it is the inverse that is without
-# bound, wherever the body lies badly, and in any basis.
+# weight close to zero, but a finite gradient. Their acceleration is $\sigma V \nabla S/(m S)$. It
+# has no bound as $S \to 0$. With GIMP and splines, weight and gradient vanish together. A lumped
+# mass then keeps the step. With the consistent mass the inverse has no bound where the body lies
+# badly, in any basis.
 #
 # **Stabilisations.** The order of the stress update ("musl" against "usl" and "usf") decides
-# whether energy is lost or gained; the ghost penalty on a consistent mass and aggregation of
-# the nodes keep what small cuts spoil. Cut-off and redistribution of forces act at nodes that have
-# less than a hundredth of the largest mass: their critical step is no eigenvalue, the flight tells.
+# whether energy is lost or gained. The ghost penalty on a consistent mass, and aggregation of the
+# nodes, prevent the harm of small cuts. Cut-off and redistribution of forces act at nodes with
+# less than a hundredth of the largest mass. Their critical step is no eigenvalue: only the flight
+# shows it.
 #
-# With half the critical step of the uncut block the plain consistent mass ends within the
-# first cell, linear or GIMP. Aggregation keeps step (0.98 h/c with GIMP, 0.78 h/c linear, at the
-# worst of twelve places) and energy. Its lumped mass is that of all nodes behind the ties,
-# $C^T M_L C$: row sums of what is behind $C$ turn negative at corners that point into the grid, and
-# blow the block up in a single step. "usl" loses a third of the energy in six cells of GIMP, with
-# the consistent mass too; "musl" and "usf" keep it.
+# With half the critical step of the uncut block, the plain consistent mass ends within the first
+# cell, with linear functions and with GIMP. Aggregation keeps the step (0.98 h/c with GIMP, 0.78
+# h/c with linear functions, at the worst of twelve places) and the energy. Its lumped mass is
+# $C^T M_L C$, with the lumped mass of all nodes. Row sums of the constrained mass would be
+# negative at corners that point into the grid, and the block would explode in a single step.
+# "usl" loses a third of the energy in six cells of GIMP, with the consistent mass, too. "musl"
+# and "usf" keep it.
 #
-# Quadratic splines need a stabilisation least: "musl" with the lumped mass keeps 1.2 h/c at the
-# worst place and has a third of the spurious stress of GIMP. Aggregated or extended they keep the
-# same. Cut-off of light nodes adds a third to the energy of the elastic block, redistribution of
-# forces no more than "musl" has without it.
+# Quadratic splines need a stabilisation least. With "musl" and the lumped mass they keep 1.2 h/c
+# at the worst place, with a third of the spurious stress of GIMP. Aggregated or extended splines
+# keep the same. Cut-off of light nodes adds a third to the energy of the elastic block.
+# Redistribution of forces adds no more than "musl" without it.
 #
-# The critical step is $2/\sqrt{\lambda_{\max}}$ of $Kx = \lambda Mx$, the smallest over places
-# that the block comes to. The spurious stress is the root mean square difference from the stress of
-# the same points in the block at rest, by $\rho c^2 \varepsilon$.
+# The critical step is $2/\sqrt{\lambda_{\max}}$ of $Kx = \lambda Mx$, the smallest over the
+# places of the block. The spurious stress is the root mean square difference from the stress of
+# the same points in the block at rest, over $\rho c^2 \varepsilon$.
 
 # %%
 from __future__ import annotations

@@ -7,12 +7,12 @@
 # rigid base at the level of its toe, with $\varphi = 20°$, $c/(\gamma H) = 0.05$ and no dilation,
 # and find 1.4; Bishop and Morgenstern's charts say 1.38.
 #
-# A run has failed if gravity cannot be applied in full, or if the largest displacement leaves
-# the line that it followed at first: in units of $\gamma H^2/E$ it is 0.38 for $F = 1$, 0.8 at
-# 1.41 and 6.1 at 1.45, with cells of 1 m, GIMP and F-bar.
+# A run has failed if gravity cannot be applied in full, or if the largest displacement leaves the
+# line that it followed at first. In units of $\gamma H^2/E$, with cells of 1 m, GIMP and F-bar,
+# this displacement is 0.38 for $F = 1$, 0.8 at 1.41 and 6.1 at 1.45.
 #
-# The soil shears at constant volume, to which linear functions and GIMP answer with locking, and
-# the slope seems safer than it is. Factors found, with 2² points per cell:
+# The soil shears at constant volume. Linear functions and GIMP then lock, and the slope seems
+# safer than it is. Factors found, with 2² points per cell:
 #
 # | | $h$ = 2 m | 1 m | 0.5 m |
 # |---|---|---|---|

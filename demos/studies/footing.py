@@ -1,45 +1,45 @@
 # %% [markdown]
 # # Footings: settlement, bearing capacity, and what locks
 #
-# Half of a layer of ground, 15 m wide and 5 m deep, on a fixed base between smooth walls,
-# carries a strip footing of half-width 2 m. Three clays show three things:
+# Half of a layer of ground, 15 m wide and 5 m deep, lies on a fixed base between smooth walls. It
+# carries a strip footing of half-width 2 m. Three clays show three effects:
 #
 # - `--law cam-clay`: modified Cam-Clay with weight, normally consolidated, under a flexible
-#   smooth footing. Without strain the clay has $p_0 = p_c = 20$ kPa, which a surcharge of as much
-#   on the whole top keeps in equilibrium. Then come the weight, 10 kN/m³ in 20 steps, and
-#   90 kPa on the footing in 50. The linear theory overestimates the settlement, for ground that
-#   is compressed gets thinner and its columns share more load.
+#   smooth footing. Without strain the clay has $p_0 = p_c = 20$ kPa. A surcharge of the same size
+#   on the whole top keeps it in equilibrium. Then the weight of 10 kN/m³ comes in 20 steps, and
+#   90 kPa on the footing in 50 steps. The linear theory overestimates the settlement: compressed
+#   ground becomes thinner, and its columns share more load.
 # - `--law tresca`: weightless clay that hardens from 10 to 15 kPa,
 #   $c = c_u + (c_0 - c_u)\,e^{-5\bar\varepsilon^p}$, under 70 kPa on a flexible rough footing in
-#   100 steps. It flows at constant volume, and standard elements are too stiff for that.
-# - `--law tresca-perfect`: the same without hardening under a rigid footing that is pressed down.
-#   The load has a limit, Prandtl's $(2 + \pi)\,c$.
+#   100 steps. It flows at constant volume, and standard elements are too stiff for this.
+# - `--law tresca-perfect`: the same without hardening, under a rigid footing that is pressed
+#   down. The load has a limit, Prandtl's $(2 + \pi)\,c$.
 #
-# What comes out, with cells of 0.5 m unless said otherwise:
+# Results, with cells of 0.5 m unless said otherwise:
 #
-# - Cam-Clay under 90 kPa, 4² points, settles by 0.689 m in the centre and 0.630 m on average with
-#   quadratic splines, conforming elements say 0.690 and 0.637 m; in the linear theory both say
-#   0.878 m in the centre, 27 % more. GIMP has 0.688 and 0.620 m. The mean is less exact because
-#   the ground bends within a cell or two of the footing's edge.
+# - Cam-Clay under 90 kPa, 4² points: with quadratic splines the settlement is 0.689 m in the
+#   centre and 0.630 m on average; conforming elements have 0.690 and 0.637 m. In the linear
+#   theory both have 0.878 m in the centre, 27 % more. GIMP has 0.688 and 0.620 m. The mean is
+#   less exact because the ground bends within a cell or two of the edge of the footing.
 # - Hardening Tresca clay, 2² points, locks without F-bar. At 70 kPa linear functions are 10 % too
-#   stiff in the centre, GIMP 9 %, quadratic splines 4 %. That is their order under the last load;
-#   on the way there GIMP is now and then the stiffer of the first two, by up to 7 %, because what
-#   points that cross cells do to linear functions softens them. With 4² points it is by 1 % at the
-#   end too. F-bar makes all softer: GIMP misses 6 %, and 0.2 % at 56 kPa, up to where the
-#   conforming curves converge; quadratic splines 1.9 % and 0.4 %, and with cells of 0.25 m 0.4 % at
-#   70 kPa too. Linear functions flow too much with it, by 18 %.
-# - Means over cells, blind to splines that alternate from cell to cell, let Cam-Clay settle by 4 to
-#   6 % too much; those over linear functions, which quadratic splines take, miss by 0.4 %. GIMP
-#   with F-bar has 0.689 and 0.630 m.
-# - Prandtl's limit is overestimated by 1.8 % with F-bar and cells of 0.05 m at the edge, by 5.8 %
-#   without, where the load still rises; by 2.3 and 8.7 % with cells of 0.1 m. (E/c is 10⁴ there, so
-#   that the clay flows before its shape changes.)
+#   stiff in the centre, GIMP 9 %, quadratic splines 5 %. At smaller loads GIMP is sometimes
+#   stiffer than linear functions, by up to 7 %, because linear functions become softer where
+#   points cross cells. With 4² points it is 1 % stiffer at the end, too.
+# - F-bar makes all softer. GIMP is 6 % too stiff at 70 kPa. At 56 kPa, up to which the conforming
+#   curves converge, its error is 0.2 %. Quadratic splines are 3.3 % too stiff at 70 kPa, and 0.7 %
+#   at 56 kPa; with cells of 0.25 m 0.7 % at 70 kPa. Linear functions flow too much, by 18 %.
+# - Means of F-bar over cells do not see splines that alternate from cell to cell: Cam-Clay
+#   settles by 4 to 6 % too much. Quadratic splines take means over linear functions instead: the
+#   error is 0.4 %. GIMP with F-bar has 0.689 and 0.630 m.
+# - Prandtl's limit is overestimated by 1.8 % with F-bar and cells of 0.05 m at the edge. Without
+#   F-bar it is 5.8 %, and the load still rises. With cells of 0.1 m the errors are 2.3 and 8.7 %.
+#   (E/c is 10⁴ there, so that the clay flows before its shape changes.)
 # - Cells of 0.5 m that are halved to 1/64 m at the edge (`--refine 0.015625 --growth 0.2 --h 0.5
-#   --coarsest 0.5 --modulus 1e9 --steps 20`) overestimate it by 0.45 % with 1856 unknowns. Equal
-#   cells of 1/16 m miss by 0.99 % with 38 400 unknowns.
-# - Loaded in time, within 100 s by explicit steps (`--integrator explicit`), the Cam-Clay footing
-#   with 2² points settles by 0.684 m in the centre and 0.632 m on average; equilibrium load by
-#   load has 0.688 and 0.631 m. It takes 24 450 steps after the weight.
+#   --coarsest 0.5 --modulus 1e9 --steps 20`) overestimate it by 0.44 % with 1856 unknowns. Equal
+#   cells of 1/16 m have an error of 0.98 % with 38 400 unknowns.
+# - In time, within 100 s by explicit steps (`--integrator explicit`), the Cam-Clay footing with
+#   2² points settles by 0.684 m in the centre and 0.632 m on average. Equilibrium load by load
+#   has 0.688 and 0.631 m. The run takes 24 450 steps after the weight.
 #
 # All pressures are dead, vertical and per first area. The curves are compared with stored ones of
 # conforming elements (eight nodes, reduced integration) for the same laws and loads:

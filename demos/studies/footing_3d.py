@@ -2,12 +2,12 @@
 # # A square footing on saturated ground in three dimensions
 #
 # A quarter of a block of ground, 1 m wide and deep, carries an even load on a square of 0.3 m in
-# its corner, drains at its top, and is pressed in deeply: displacement and pore pressure are
-# solved for together, by GMRES with a field split. Its iterations should depend neither on the
-# number of unknowns nor on the permeability.
+# its corner. It drains at its top, and the load presses it in deeply. GMRES with a field split
+# solves for displacement and pore pressure together. The number of its iterations should depend
+# neither on the number of unknowns nor on the permeability.
 #
-# `--compare` solves each size with MUMPS's factors too, each run in a process of its own for its
-# memory, and sets what a step takes beside the error of the settlement.
+# `--compare` also solves each size with the factors of MUMPS, each run in its own process to
+# measure its memory. It compares the cost of a step and the error of the settlement.
 
 # %%
 from __future__ import annotations

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # A strip footing on saturated ground: settlement in time
 #
-# Ground 5B deep on a rigid rough base carries an even load q on a strip 2B wide, and drains at its
-# top. The footing settles a part at once, without drainage, for the ground gives way to the
-# sides, and the rest as water leaves. Half is computed, between smooth walls; base and walls are
-# sealed. Strains are small.
+# Ground of the depth 5B on a rigid rough base carries an even load q on a strip 2B wide. It
+# drains at its top. A part of the settlement comes at once, without drainage, because the ground
+# moves to the sides. The rest comes as water leaves. Half is computed, between smooth walls. Base
+# and walls are sealed. Strains are small.
 #
 # For ν = 0.2, half width 10B and depth 5B the settlements and pressures are compared with those of
 # conforming elements of quadratic displacement and linear pressure.

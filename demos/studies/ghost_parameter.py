@@ -1,9 +1,9 @@
 # %% [markdown]
 # # The factor of a ghost penalty
 #
-# The penalty must be large enough to hold a cell that is next to empty, and small enough not to
-# stiffen the body. What it holds is told by the *local constant* of two cells at a facet, one full
-# and one empty:
+# The penalty must be large enough for a cell that is almost empty, and small enough not to make
+# the body stiff. The *local constant* C of two cells at a facet, one full and one empty, measures
+# the first:
 #
 # $$ u\cdot K_\mathrm{cut}\,u \le C\,(u\cdot K_\mathrm{full}\,u + \gamma\, u\cdot J\,u). $$
 #

@@ -1,23 +1,25 @@
 # %% [markdown]
 # # Hertz's contact: a rigid cylinder or sphere on an elastic body
 #
-# With $E^* = E/(1-\nu^2)$ a cylinder of radius R under the line load P touches over the half-width
-# $b = \sqrt{4PR/\pi E^*}$ with the pressure $p_0 = 2P/\pi b$ in the middle, a sphere under F sinks
-# by δ, $F = \tfrac43 E^* \sqrt{R}\,\delta^{3/2}$, and touches within $a = \sqrt{R\delta}$ with
-# $p_0 = 3F/2\pi a^2$ (Johnson, Contact Mechanics, 1985, ch. 4). How far a cylinder sinks depends
-# on the size of the body.
+# With $E^* = E/(1-\nu^2)$, a cylinder of radius R under the line load P touches over the
+# half-width $b = \sqrt{4PR/\pi E^*}$. The pressure in the middle is $p_0 = 2P/\pi b$. A sphere
+# under F sinks by δ, with $F = \tfrac43 E^* \sqrt{R}\,\delta^{3/2}$. It touches within the radius
+# $a = \sqrt{R\delta}$, with $p_0 = 3F/2\pi a^2$ (Johnson, Contact Mechanics, 1985, ch. 4). The
+# depth to which a cylinder sinks depends on the size of the body.
 #
-# One half, or a quarter of the sphere's, is solved, in cells of the size h in and around the
-# contact that grow away from it. The half-width is that which an elliptic pressure with the
-# found second moment has: $\langle x^2\rangle = b^2/4$ of a cylinder, $\langle r^2\rangle = 2a^2/5$
-# of a sphere; the peak that of the ellipse that fits best within 0.4 of it. Penalty on corners
-# makes the surface softer: its share of the approach is `--softness`.
+# One half of the cylinder, or a quarter of the section of the sphere, is solved. Cells have the
+# size h in and around the contact, and grow away from it. The half-width is that of an elliptic
+# pressure with the same second moment: $\langle x^2\rangle = b^2/4$ for a cylinder,
+# $\langle r^2\rangle = 2a^2/5$ for a sphere. The peak is that of the ellipse that fits best
+# within 0.4 of the half-width. The penalty at the corners makes the surface softer. Its share of
+# the approach is `--softness`.
 #
-# `--force` is come to by secants in the depth.
+# With `--force`, secants find the depth for a given force.
 #
-# What comes out: a cylinder's half-width within 0.1 % from a/h = 6 on, its peak within 4.5 %, 2.1 %
-# and 0.2 % with a/h = 6, 8 and 12; a sphere's force 3.6 % too large with a/h = 6, its half-width
-# 1.8 %. The pressure on single corners alternates by a fifth from one to the next.
+# Results: the half-width of a cylinder is within 0.2 % from a/h = 6 on. Its peak is within 4.5 %,
+# 1.3 % and 0.2 % with a/h = 6, 8 and 12. The force of a sphere is 3.6 % too large with a/h = 6,
+# and its half-width is within 1.8 %. The pressure on single corners alternates by a fifth from
+# one corner to the next.
 
 # %%
 import math

@@ -1,27 +1,30 @@
 # %% [markdown]
 # # Two elastic cylinders, or spheres, are pressed together
 #
-# Each of two bodies of radius R has a field of its own on one grid, which fits neither of them;
-# their boundaries touch with `contact_between`. With the moduli
-# $1/E^* = (1-\nu^2)(1/E_1 + 1/E_2)$ and $R^* = R/2$ cylinders touch under the line load P over the
-# half-width $b = \sqrt{4PR^*/\pi E^*}$ with the pressure $p_0 = 2P/\pi b$ in the middle, and whole
-# ones come nearer by $\delta = \frac{P}{\pi E^*}\left(2\ln\frac{4R}{b} - 1\right)$ between their
-# centres. Spheres do under P within $b = (3PR^*/4E^*)^{1/3}$, with $p_0 = 3P/2\pi b^2$ and
+# Two bodies of radius R have separate fields on one grid. The grid fits neither of them. Their
+# boundaries touch with `contact_between`. The moduli are $1/E^* = (1-\nu^2)(1/E_1 + 1/E_2)$, and
+# $R^* = R/2$. Cylinders under the line load P touch over the half-width
+# $b = \sqrt{4PR^*/\pi E^*}$, with the pressure $p_0 = 2P/\pi b$ in the middle. The centres of
+# whole cylinders approach by $\delta = \frac{P}{\pi E^*}\left(2\ln\frac{4R}{b} - 1\right)$.
+# Spheres under P touch within $b = (3PR^*/4E^*)^{1/3}$, with $p_0 = 3P/2\pi b^2$ and
 # $\delta = b^2/R^*$ (Johnson, Contact Mechanics, 1985, ch. 4 and 5).
 #
-# One half, or of spheres a quarter, of the halves that face each other is solved, whose diametral
-# planes approach by δ, in cells of the size h around the contact that grow away from it. The
-# half-width is that which an elliptic pressure with the found second moment has,
-# $\langle x^2\rangle = b^2/4$, of spheres $\langle r^2\rangle = 2b^2/5$; the peak that of the
-# ellipse that fits best within 0.4 of it.
+# The halves that face each other are solved: one half of these for cylinders, and a quarter for
+# spheres. Their diametral planes approach by δ. Cells have the size h around the contact, and
+# grow away from it. The half-width is that of an elliptic pressure with the same second moment:
+# $\langle x^2\rangle = b^2/4$ for cylinders, $\langle r^2\rangle = 2b^2/5$ for spheres. The peak
+# is that of the ellipse that fits best within 0.4 of the half-width.
 #
-# What comes out with b/R = 0.05: the half-width within 0.6, 0.9 and 1.1 % with b/h = 6, 8 and 12,
-# the peak within 1.5, 1.4 and 0.2 %; with b/R = 0.025 the half-width within 0.1 %. The planes
-# approach by 4.5 % less than the closed form says of whole cylinders: they stay plane here. Spheres
-# touch within 1.3 % with b/R = 0.12 and b/h = 4, and come nearer by 5 % less. The pressure on
-# single segments alternates by a tenth, on pieces of spheres by a third, for the surfaces have
-# kinks where cells meet; the more so the stiffer the penalty: with multipliers that bound the
-# penetration to 20 μm, a third of a percent of a cell, the peak comes out 11 % too low.
+# Results with b/R = 0.05: the half-width is within 0.6, 0.9 and 1.1 % with b/h = 6, 8 and 12, the
+# peak within 1.5, 1.4 and 0.2 %. With b/R = 0.025 the half-width is within 0.1 %. The planes
+# approach by 4.5 % less than the closed form of whole cylinders, because they stay plane here.
+# The half-width of spheres is within 1.3 % with b/R = 0.12 and b/h = 4. They approach by 5 %
+# less.
+#
+# The pressure on single segments alternates by a tenth, and on pieces of spheres by a third,
+# because the surfaces have kinks where cells meet. It alternates more with a stiffer penalty.
+# With multipliers that bound the penetration to 20 μm, a third of a per cent of a cell, the peak
+# is 11 % too low.
 
 # %%
 import math

@@ -1,15 +1,14 @@
 # %% [markdown]
 # # New physics and a new stabilisation, both in UFL
 #
-# A disc of living tissue grows between two plates, most at its core and not at all at its
-# rim, which the core stretches. Nothing about tissue, growth or stabilisation in this
-# script comes from the library: the energy, the growth, the stress and the penalty on cut
-# cells are stated here, in UFL, at the material points. The library splits the form,
-# derives flux and tangent, compiles them and moves the points. To try another energy or
-# another penalty, change its line.
+# A disc of living tissue grows between two plates. It grows most at its core, and not at all at
+# its rim, which the core stretches. Tissue, growth and stabilisation are not part of the library:
+# this script states the energy, the growth, the stress and the penalty on cut cells in UFL, at
+# the material points. The library splits the form, derives flux and tangent, compiles them, and
+# moves the points. To try another energy or another penalty, change its line.
 #
-# The disc is a good touchstone. Its edge cuts the grid's cells in every possible way, and
-# yet its exact deformation is a function of the radius alone.
+# The disc is a good test. Its edge cuts the cells of the grid in every possible way. But its
+# exact deformation is a function of the radius alone.
 
 # %%
 import time

@@ -7,18 +7,18 @@
 # A = \int \nabla u : \nabla v + j(u, v), \quad B = \int q\, \nabla\!\cdot v, \quad
 # C = c(p, q) + j(p, q),$$
 #
-# with the ghost penalties j and the pressure projection c, if any. The pressure is determined as
-# well as displacements are if the constant
+# with the ghost penalties j and the pressure projection c, if there is one. The pressure is as
+# well determined as the displacement if the constant
 #
 # $$\beta^2 = \min_q \frac{q^T (B A^{-1} B^T + C)\, q}{q^T M q}, \qquad
 # M = \int p\, q + j(p, q),$$
 #
-# does not fall as cells shrink, nor as the body's faces cut them anywhere (Brezzi & Fortin 1991;
-# in cut cells Massing, Larson, Logg & Rognes 2014, doi 10.1007/s10915-014-9838-9). First a body
-# that fills its cells and is held all around, in which one constant pressure has no
-# volumes to work on. Then one that is held on the left and at its foot, and whose other faces are
-# free and cut cells of which they leave a share, down to 1e-6. All integrals are exact: Gauss's
-# points in each part of a cell, of GIMP domains that tile it.
+# does not become smaller with smaller cells, or with cuts anywhere (Brezzi & Fortin 1991; for cut
+# cells Massing, Larson, Logg & Rognes 2014, doi 10.1007/s10915-014-9838-9). The first body fills
+# its cells and is held at all sides. There the constant pressure does not count. The second body
+# is held on the left and at its foot. Its other faces are free and cut cells. They leave a share
+# of these cells, down to 1e-6. All integrals are exact: they have Gauss points in each part of a
+# cell, of GIMP domains that tile the cell.
 
 # %%
 from __future__ import annotations

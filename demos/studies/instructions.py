@@ -1,9 +1,9 @@
-"""How much work a piece of Python takes, whatever else the machine does.
+"""Work of a piece of Python, measured independently of the load of the machine.
 
-Seconds on a machine that others use say little about a per mille. The instructions that a processor
-goes through hardly vary: `count` starts a script again under valgrind, where `Counter` counts
-those between two places of it. Where there is no valgrind or no C compiler, Python-level calls
-and processor time are what is left.
+Times on a shared machine do not show a per mille. The number of processor instructions hardly
+varies: `count` starts a script again under valgrind, and `Counter` counts the instructions between
+two places of it. Without valgrind or a C compiler, Python-level calls and processor time are
+measured.
 """
 
 from __future__ import annotations

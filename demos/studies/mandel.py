@@ -1,14 +1,14 @@
 # %% [markdown]
 # # Mandel's problem: the pressure in the middle rises before it falls
 #
-# A slab of saturated soil, 2a wide, is squeezed by a force 2F (per length) between two rigid
-# smooth plates and drains at its sides. The rim softens first as it drains, so that the core has to
-# carry more: its pressure rises beyond the first one although nothing is added (Mandel 1953;
-# Cheng & Detournay 1988). The exact solution of an incompressible fluid is a series over the roots
-# of $\tan\alpha = \frac{2(1 - \nu)}{1 - 2\nu}\,\alpha$.
+# A slab of saturated soil is 2a wide. Two rigid smooth plates press it with a force 2F (per
+# length). It drains at its sides. The rim drains first and becomes softer. So the core must carry
+# more, and its pressure rises above the first value, although no load is added (Mandel 1953;
+# Cheng & Detournay 1988). The exact solution for an incompressible fluid is a series over the
+# roots of $\tan\alpha = \frac{2(1 - \nu)}{1 - 2\nu}\,\alpha$.
 #
-# A quarter is computed. The plate is a membrane without bending stiffness that is pulled so
-# tight that it stays flat.
+# A quarter is computed. A membrane without bending stiffness stands for the plate. Its tension is
+# so large that it stays flat.
 
 # %%
 from __future__ import annotations

@@ -1,13 +1,12 @@
 # %% [markdown]
 # # Your own stabilisation against the library's
 #
-# A stabilisation against small cuts adds a term to the weak form: an integral over the facets
-# beside cut cells, `points.dS`, or over the whole of all active cells, `points.dC`, both
-# of which follow the body. A new one is a function of three or four lines of UFL. This
-# script states some, puts them to the tests that the built-in stabilisations are put to, and
-# prints one table: condition numbers and the critical time step, at worst over many places
-# of a block on the grid, and the error of a large deformation with a known solution. To
-# try another penalty, add it to `OWN`.
+# A stabilisation against small cuts is a term of the weak form: an integral over the facets
+# beside cut cells, `points.dS`, or over whole active cells, `points.dC`. Both follow the body. A
+# new one is a function of three or four lines of UFL. This script has some of them, and runs the
+# tests of the built-in stabilisations with them. One table has the largest condition number and
+# the smallest critical time step over many places of a block, and the error of a large
+# deformation with a known solution. To try another penalty, add it to `OWN`.
 
 # %%
 from __future__ import annotations

@@ -2,26 +2,27 @@
 # # A ring whose hole is widened: displacements prescribed where the grid knows nothing of it
 #
 # A ring with radii $a = 1$ m and $b = 2$ m lies anywhere on a grid of squares. Its hole is
-# widened by $u_a$, small beside $a$; outside it is free. In plane strain
+# widened by $u_a$, which is small beside $a$. Its outer edge is free. In plane strain
 #
 # $$u_r = A\,r + \frac B r, \qquad A = \frac{u_a}{a}\,\frac1{1 + (b/a)^2/(1 - 2\nu)}, \qquad
 #   B = a\,(u_a - A a), \qquad p(a) = 2G\Bigl(\frac{B}{a^2} - \frac{A}{1-2\nu}\Bigr),$$
 #
-# so that for $\nu = 0.3$ the pressure on the hole is $0.524476\,E\,u_a/a$. Nitsche's method
-# prescribes the displacement there by the traction of the law, what makes that symmetric, and a
-# penalty $k$ that must exceed the constant of
+# So for $\nu = 0.3$ the pressure on the hole is $0.524476\,E\,u_a/a$. Nitsche's method prescribes
+# the displacement there. It has the traction of the law, a term that makes the form symmetric,
+# and a penalty $k$. $k$ must be larger than the constant of
 #
 # $$\int_\Gamma |\sigma(v)\,n|^2\,\mathrm da \le k\,a(v, v).$$
 #
-# A cell of which the ring fills next to nothing has only the energy that a stabilisation gives it:
-# with the ghost penalty of $\gamma = M/30$ the constant is up to a hundred times $M/h$, in whole
-# cells a few times. The solver finds it cell by cell. `--penalty` takes one number of $M/h$ for all
-# instead: what is too small for the worst cell makes the tangent indefinite, what is large
-# enough for it locks the others; `--method penalty` drops the tractions.
+# A cell that the ring hardly fills has only the energy of the stabilisation. With a ghost penalty
+# of $\gamma = M/30$ the constant is up to a hundred times $M/h$. In full cells it is a few times
+# $M/h$. The solver computes it for each cell. `--penalty` takes one multiple of $M/h$ for all
+# cells instead. If this is too small for the worst cell, the tangent is indefinite. If it is
+# large enough, the other cells lock. `--method penalty` leaves out the tractions.
 #
-# `error` is the root mean square of the displacement's error by $u_a$, `pressure` the mean on the
-# hole by the exact one, `kappa` the condition number of the tangent, the worst of all `--positions`
-# of the ring in the grid, and `least` the least eigenvalue of its symmetric part by the largest.
+# `error` is the root mean square error of the displacement over $u_a$. `pressure` is the mean
+# pressure on the hole over the exact one. `kappa` is the largest condition number of the tangent
+# over all `--positions` of the ring. `least` is the ratio of the least to the largest eigenvalue
+# of its symmetric part.
 
 # %%
 from __future__ import annotations

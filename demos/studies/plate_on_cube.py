@@ -1,20 +1,21 @@
 # %% [markdown]
 # # A plate on a cube: what a penalty does, exactly
 #
-# A rigid plate presses on an elastic cube, ν = 0, whose sides cannot move, on a smooth base
-# (Bird, Coombs & others, AMPSSIE, tutorial 2). The cube's stress under the stretch λ is
-# $E \ln\lambda/\lambda$, that of the plate's penalty on its top is the stiffness per area κ times
-# the overlap, so that
+# A rigid plate presses on an elastic cube with ν = 0. The sides of the cube cannot move, and its
+# base is smooth (Bird, Coombs & others, AMPSSIE, tutorial 2). Under the stretch λ the stress of
+# the cube is $E \ln\lambda/\lambda$. The penalty of the plate gives a pressure: the stiffness per
+# area κ times the overlap. So
 #
 # $$ E \ln\lambda/\lambda + \kappa\,(\lambda H - z) = 0 $$
 #
-# for the plate at the height z. Grid, basis and steps make no error, for the motion is linear in
-# space: with GIMP what differs is rounding, at any stiffness; averages of splines miss by 2e-5.
+# for the plate at the height z. Grid, basis and steps make no error, because the motion is linear
+# in space. With GIMP only rounding is left, at any stiffness. Averaged splines have an error of
+# 2e-5.
 #
-# Corners of the points' domains touch, those on the marked top (`--contact surface`) or all of them
-# (`--contact corners`), which is the same as long as the overlap is less than a domain: beyond that
-# corners of the next points get into the plate too. Under `--penetration` multipliers take over
-# and the cube ends at the plate.
+# Corners of the points' domains touch the plate: those on the marked top (`--contact surface`),
+# or all corners (`--contact corners`). Both are the same as long as the overlap is less than a
+# domain. Beyond that, corners of the next points enter the plate, too. With `--penetration`,
+# multipliers take over the pressure, and the cube ends at the plate.
 
 # %%
 import math

@@ -8,37 +8,40 @@
 # quarter of that, dragged by 1 m; `--distance 20` goes on to where the heap of spoil no longer
 # grows.
 #
-# - The share is a prism with a wedge in front, a closed surface of triangles; its edges are rounded
-#   by a quarter of a point's domain.
-# - The sand is at rest at first, $K_0 = 1 - \sin\varphi$, and as stiff as its stress makes it.
-#   Points fill it row by row from the share's faces on.
-# - Cells are fine in a zone around the plough, which goes with it cell by cell; beyond they grow.
-# - The sides that the plough comes from and goes to are Signorini plates: sand may leave them.
-# - Corners overlap with the share by an eighth of a cell, on the average of the force. With a
-#   penalty ten times as hard the pull is 4 % more after a metre, but a few corners carry all the
-#   force, which jumps from one to the next, and Newton's method needs 40 % more iterations.
-# - What is out of balance may be 2e-4 of the loads. To 1e-6 the pull differs by 1 %, in waves of
-#   10 %, and takes twice as long; after some metres single corners that touch by turns keep more
-#   than 1e-5.
+# - The share is a prism with a wedge in front, a closed surface of triangles. Its edges are
+#   rounded by a quarter of a point's domain.
+# - The sand is at rest at first, with $K_0 = 1 - \sin\varphi$, and its stiffness follows from its
+#   stress. Points fill it row by row, beginning at the faces of the share.
+# - Cells are fine in a zone around the plough. The zone moves with it cell by cell. Beyond the
+#   zone cells grow.
+# - The sides behind and in front of the plough are Signorini plates: sand may leave them.
+# - Corners overlap with the share by an eighth of a cell, on average of the force. With a penalty
+#   ten times as hard, the pull is 4 % larger after a metre. But then a few corners carry all the
+#   force, which jumps from one corner to the next, and Newton's method needs 40 % more
+#   iterations.
+# - The tolerance of the balance is 2e-4 of the loads. With 1e-6 the pull differs by 1 %, in waves
+#   of 10 %, and the run takes twice as long. After some metres more than 1e-5
+#   is left out of balance, because single corners touch in turn.
 #
-# The pull rises to 0.21 MN over a metre, seven times Rankine's passive thrust on the share's width,
-# and the heap to 0.6 m. From four to twenty metres the pull goes in waves, 1.7 m long, between 0.19
-# and 0.24 MN, one with each slip surface that begins in front of the share. From the first half of
-# that way to the second their mean grows by 2 %; the heap stays at 0.94 m. In cells of half a metre
-# the pull stays about 0.28 MN from ten to twenty metres, with a heap of 1.2 m.
+# The pull rises to 0.21 MN over a metre, seven times Rankine's passive thrust on the width of the
+# share. The heap rises to 0.6 m. From four to twenty metres the pull goes in waves, 1.7 m long,
+# between 0.19 and 0.24 MN. Each wave is a slip surface that begins in front of the share. From
+# the first half of this way to the second half, the mean pull grows by 2 %, and the heap stays at
+# 0.94 m. In cells of half a metre the pull stays at about 0.28 MN from ten to twenty metres, with
+# a heap of 1.2 m.
 #
-# The pull has not converged in such cells: sand within a cell of the share goes with it, as if the
-# share were wider and deeper, and the ghost penalty resists what flows past. After half a metre it
-# is 218, 183 and 139 kN in cells of 0.5, 0.25 and 0.125 m, and with a tenth of the penalty
-# (`--ghost 0.1`) 173, 157 and 126 kN for three times as many Newton iterations. The finest take 9
-# and 23 minutes on two ranks. Steps of half the length (`--step 0.1`) have 6 % less.
+# The pull has not converged in such cells. Sand within a cell of the share moves with it, as if
+# the share were wider and deeper. The ghost penalty resists the flow. After half a metre the pull
+# is 218, 183 and 139 kN in cells of 0.5, 0.25 and 0.125 m. With a tenth of the penalty (`--ghost
+# 0.1`) it is 173, 157 and 126 kN, for three times as many Newton iterations. The finest runs take
+# 9 and 23 minutes on two ranks. Steps of half the length (`--step 0.1`) have 6 % less.
 #
-# With `--refine`, cells of the size h follow the share; points split and merge with them, and the
-# balance is to 1e-6. After 0.25 m, in steps of 25 mm, the pull is 145 and 126 kN and the heap 0.19
-# and 0.15 m in cells of 0.25 and 0.125 m, with 5.3 and 7.2 iterations a step. With `--ghost 0.1`
-# it is 136 and 119 kN, with 9.2 and 15.4: sand that falls into the trench behind the share is at
-# the apex of the yield surface, where the tangent is zero. In cells of 0.0625 m (`--step 0.2`) a
-# step takes 13 iterations, and a minute.
+# With `--refine`, cells of the size h follow the share. Points split and merge with them, and the
+# balance is to 1e-6. After 0.25 m, in steps of 25 mm, the pull is 151 and 128 kN and the heap
+# 0.17 and 0.15 m in cells of 0.25 and 0.125 m, with 5.2 and 9.5 iterations per step. With
+# `--ghost 0.1` the pull is 6 % smaller, and a step takes about twice as many iterations: sand
+# that falls into the trench behind the share is at the apex of the yield surface, where the
+# tangent is zero. In cells of 0.0625 m (`--step 0.2`) a step takes a minute.
 
 # %%
 from __future__ import annotations

@@ -2,16 +2,17 @@
 # # A smooth wall and the ground behind it: Rankine's thrusts
 #
 # A rigid, smooth wall is pushed into level ground with friction and cohesion, or drawn away from
-# it. Where the ground yields everywhere, the wall carries
+# it. If the ground yields everywhere, the wall carries
 #
 # $$ P_p = \tfrac12 K_p \gamma H^2 + 2 c \sqrt{K_p} H, \quad K_p = \tan^2(45° + \varphi/2), $$
 #
-# and with $K_a = 1/K_p$ and −c the active thrust (Rankine 1857). Large strain makes the ground
-# higher where it is pushed together: what is compared is the thrust where it first stops to rise.
+# With $K_a = 1/K_p$ and −c this is the active thrust (Rankine 1857). At large strain the ground
+# becomes higher where it is pushed together. So the thrust is compared where it first stops to
+# rise.
 #
-# The ground is at rest at first, $K_0 = 1 - \sin\varphi$, and lies on a smooth base (`--base
-# smooth`), on which all of it yields, or on a rough one, on which a wedge slides up from the foot
-# of the wall. The wall is a plane that touches corners of the points' domains.
+# The ground is at rest at first, with $K_0 = 1 - \sin\varphi$. On a smooth base (`--base smooth`)
+# all of it yields. On a rough base a wedge slides up from the foot of the wall. The wall is a
+# plane that touches corners of the points' domains.
 
 # %%
 import math

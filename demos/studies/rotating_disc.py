@@ -1,12 +1,12 @@
 # %% [markdown]
 # # A disc turns: what is left of its angular momentum after a revolution
 #
-# A free elastic disc turns with the angular velocity $\omega$. Neither its angular momentum nor
-# its energy should change, and it should have turned by $2\pi$ after the time $2\pi/\omega$. What
-# gets lost is lost between points and grid: a turn is an affine velocity, which varies most from
-# node to node of all that a body can do without deforming.
+# A free elastic disc turns with the angular velocity $\omega$. Its angular momentum and its
+# energy should stay. After the time $2\pi/\omega$ it should have turned by $2\pi$. Losses come
+# from the mapping between points and grid. A rotation is an affine velocity. Of all motions
+# without deformation, it varies most from node to node.
 #
-# With `--compare` all mappings turn, each with the masses that it goes with.
+# `--compare` runs all mappings, each with the masses that suit it.
 
 # %%
 from __future__ import annotations

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A round column of sand collapses
 #
-# A cylinder of sand of radius $R$ and height $H = aR$ is left to itself. Lube, Huppert, Sparks &
-# Hallworth (2004, doi 10.1017/S0022112004009036) let go of grains of many kinds and found that the
-# run-out, the height that is left and the time until all is at rest do not depend on them:
+# A cylinder of sand of radius $R$ and height $H = aR$ collapses under its weight. Lube, Huppert,
+# Sparks & Hallworth (2004, doi 10.1017/S0022112004009036) did this with grains of many kinds. The
+# run-out, the final height and the time until all grains are at rest do not depend on the kind:
 #
 # $$\frac{\Delta R}{R} = \begin{cases} 1.24\,a & a < 1.7 \\ 1.6\,\sqrt a & a > 1.7 \end{cases},
 #   \qquad \frac{H_\infty}{R} = \begin{cases} a & a < 0.74 \\ 0.88\,a^{1/6} & a > 0.74 \end{cases},

@@ -15,13 +15,13 @@
 #
 # What comes out in cells of 0.25 m, over the last third of a turn by 60°, without friction:
 #
-# - Pitch-matched, the pile needs a push of 16 kN, two strengths on the plate's area, and 2.5 kN m.
-#   The push by $p/2\pi$ is 1.0 kN m, at most, of it; the plate's leading edge makes the rest.
-# - With half the advance the clay pulls the pile down by 15 kN, and the torque doubles to
-#   4.8 kN m. The pull still grows at the end.
+# - Pitch-matched, the pile needs a push of 17 kN, 2.2 strengths on the plate's area, and a torque
+#   of 1.9 kN m. The push times $p/2\pi$ is 1.1 kN m of it. The plate's leading edge makes the rest.
+# - With half the advance the clay pulls the pile down by 18 kN, and the torque is 7.4 kN m. The
+#   pull still grows at the end.
 #
-# The plate reaches 1.5 cells beyond the shaft, and the torque jumps by a third from step to step,
-# as corners meet the plate's edge. Signs and sizes can be relied upon, figures cannot.
+# The plate reaches 1.5 cells beyond the shaft. The torque changes by up to three times from step to
+# step, as corners meet the plate's edge. Rely on signs and orders of size, not on the figures.
 
 # %%
 from __future__ import annotations

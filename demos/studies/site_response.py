@@ -1,8 +1,9 @@
 # %% [markdown]
 # # Site response: a layer on an elastic half-space, against the exact amplification
 #
-# A shear wave comes up through rock and meets a layer of soil. Surface over outcrop of the rock,
-# the layer amplifies the frequency f by (Kramer 1996, eq. 7.28, without damping)
+# A shear wave comes up through rock and meets a layer of soil. The amplification is the motion of
+# the surface over that of an outcrop of the rock. At the frequency f it is (Kramer 1996, eq.
+# 7.28, without damping)
 #
 # $$|A| = \frac{1}{\sqrt{\cos^2 kH + \alpha^2 \sin^2 kH}}, \qquad k = \frac{2\pi f}{c_s}, \quad
 #   \alpha = \frac{\rho c_s}{\rho_r c_r} .$$
@@ -12,8 +13,9 @@
 # the absorbing base of Lysmer & Kuhlemeyer, through which the wave comes in. A short pulse has all
 # frequencies: the amplification is the quotient of two Fourier transforms.
 #
-# The grid's limit is told in nodes per wavelength, c_s/(f h). Averages and a consistent mass make
-# splines follow the exact curve to 10 nodes per wavelength. A lumped mass needs some 40.
+# The resolution of the grid is the number of nodes per wavelength, c_s/(f h). Averaged splines
+# with a consistent mass follow the exact curve to 10 nodes per wavelength. A lumped mass needs
+# some 40.
 
 # %%
 from dataclasses import dataclass

@@ -2,20 +2,21 @@
 # # A slope in an earthquake, against Newmark's sliding block
 #
 # A long slope has a weak layer of undrained clay (Tresca, c_u) at its base. Above this layer the
-# ground is stiff. In an earthquake the ground above slides down whenever the acceleration of the
-# base, along the slope and upwards, exceeds a_y: Newmark (1965) takes it for a rigid block,
+# ground is stiff. In an earthquake the ground slides down while the acceleration of the base,
+# along the slope and upwards, is larger than a_y. Newmark (1965) takes the ground as a rigid
+# block,
 #
 # $$a_y = \frac{c_u}{\rho H} - g \sin\beta, \qquad
 #   \dot w = -a_y - a_b(t) \ \text{while it slides}, \quad w \ge 0 .$$
 #
-# H is the depth of the middle of the weak layer. The block is integrated by itself, in steps of
-# 10 μs. The slope is one cell wide with tied sides, and moves with its base: gravity is tilted,
-# and the base has the velocity of the record.
+# H is the depth of the middle of the weak layer. The equation of the block is integrated in steps
+# of 10 μs. The slope is one cell wide with tied sides, and moves with its base. Gravity is
+# tilted, and the base has the velocity of the record.
 #
-# With waves of 2000 m/s the ground is next to rigid. It slips 1.8 % more than the block, and 1.0 %
+# With waves of 2000 m/s the ground is almost rigid. It slips 1.8 % more than the block, and 1.0 %
 # more with cells and steps half as large. With 400 m/s the ground amplifies the record, and slips
-# 12 % more: a block does not see that. Domains that stretch with the layer reach into the ground
-# above, and weaken the layer: the slip grows by 4 %.
+# 12 % more, which a rigid block cannot do. Domains that stretch with the layer reach into the
+# ground above and weaken the layer: the slip grows by 4 %.
 
 # %%
 import math

@@ -15,22 +15,22 @@
 #   $2 \le y \le 3$ m;
 # - a grid of squares over 24 m by 9 m.
 #
-# Young's modulus is 1 MPa, Poisson's ratio 0.3, the density 2400 kg/m³, gravity 10 m/s² in $40/h$
-# equal steps ($h$ in m). The radius $\rho_y$ of von Mises' $f = \sqrt{2J_2} - \rho_y$ is
-# 15 kPa, and 7.5 kPa in the weak zone; the undrained strength is $c_u = \rho_y/\sqrt2$. A slope
-# of 45° without a weak zone stands up to a height of about $5.5\,c_u/(\rho g) = 2.4$ m (Taylor's
-# chart): this one is two and a half times as high.
+# Young's modulus is 1 MPa, Poisson's ratio 0.3, the density 2400 kg/m³. Gravity of 10 m/s² comes
+# in $40/h$ equal steps ($h$ in m). The radius $\rho_y$ of von Mises' $f = \sqrt{2J_2} - \rho_y$
+# is 15 kPa, and 7.5 kPa in the weak zone. The undrained strength is $c_u = \rho_y/\sqrt2$. A
+# slope of 45° without a weak zone stands up to a height of about $5.5\,c_u/(\rho g) = 2.4$ m
+# (Taylor's chart). This slope is two and a half times as high.
 #
-# It slides over the weak zone onto the ground in front of it: what was the toe moves by several
-# metres, and points pass the grid's lines with domains that are slivers in the new cells.
+# The slope slides over the weak zone onto the ground in front of it. Its toe moves by several
+# metres. Points pass the lines of the grid, and their domains are slivers in the new cells.
 #
 # With `--refine yield` cells are halved where the clay yields, and points split with them. From
-# cells of 1 m, halved once, the toe comes 3.88 m far with 826 unknowns at the end, as on a grid of
-# 0.5 m with 838 (3.86 m). Much of the slope yields in the end, so that the leaves save unknowns on
-# the way alone. Halved twice it comes 5.2 m far, 6.0 m on a grid of 0.25 m in as many steps: the
-# stepped surface of the first points stays. Leaves that come late are dear: with `--least 0.2`
-# and two levels at once the slope is in motion when its cells are halved, and no equilibrium of
-# the new cells is found.
+# cells of 1 m, halved once, the toe moves by 3.88 m, with 826 unknowns at the end. On a grid of
+# 0.5 m it moves by 3.86 m, with 838 unknowns. At the end much of the slope yields, so the leaves
+# save unknowns only before that. Halved twice, the toe moves by 5.2 m, and by 6.0 m on a grid of
+# 0.25 m in as many steps, because the stepped surface of the first points stays. Leaves must come
+# early: with `--least 0.2` and two levels at once, the slope moves already when its cells are
+# halved, and the new cells have no equilibrium.
 
 # %%
 import time

@@ -2,14 +2,14 @@
 # # A slope fails and runs out to rest
 #
 # The slope of `slope_failure.py`, 6 m high at 45° over a weak zone, fails under a share of its
-# weight. A quasi-static computation brings it down load by load, each in equilibrium, and so says
-# nothing of how it moves. Here the whole weight acts from $t = 0$, and the mass that slides
-# gains speed, overshoots the heap that statics would leave, and comes to rest.
+# weight. Quasi-static steps bring it down load by load, each in equilibrium. They say nothing
+# about the motion. Here the whole weight acts from $t = 0$. The mass that slides gains speed,
+# goes beyond the heap of the quasi-static steps, and comes to rest.
 #
-# Explicit and implicit steps take the same weak form. On the way the energy that gravity puts in
-# becomes kinetic energy, then is dissipated by plastic flow; a little stays as elastic vibration,
-# which nothing in an elastoplastic body damps. At rest means here that the kinetic energy has
-# stayed below a twentieth of its peak since; elastic vibrations keep 2 % of it.
+# Explicit and implicit steps have the same weak form. The work of gravity becomes kinetic energy,
+# and then plastic dissipation. A little stays as elastic vibration, which nothing damps in an
+# elastoplastic body. At rest means: from this time on, the kinetic energy is below a twentieth of
+# its peak. Elastic vibrations keep 2 % of it.
 
 # %%
 from __future__ import annotations

@@ -6,11 +6,10 @@
 # $$v(X, 0) = v_0 \sin\frac{\pi X}{2L}, \qquad P(0) = \frac{2 \rho v_0 L}{\pi}, \qquad
 #   T = \frac{4L}{c}, \quad c = \sqrt{E/\rho} .$$
 #
-# Nothing takes energy out of it. Whatever is missing after a number of periods has been lost
-# by the steps in time, or on the way of the velocities from the points to the grid and
-# back. With Hencky's law the nominal stress is $E \ln\lambda / \lambda$; a small $v_0$ gives
-# the linear period, $v_0 = c/10$ one that is longer by 0.25 %, and shifts the first zero of the
-# momentum by 6 %.
+# Nothing takes energy out of the bar. So all losses come from the steps in time, or from the
+# mapping of velocities between points and grid. With Hencky's law the nominal stress is
+# $E \ln\lambda / \lambda$. A small $v_0$ gives the linear period. With $v_0 = c/10$ the period is
+# 0.25 % longer, and the first zero of the momentum is 6 % off.
 #
 # With `--moving` the bar is free at both ends, flies through the grid with the speed
 # `--speed`, and vibrates in its first mode $\cos(\pi X / L)$ on its way, with the period

@@ -1,35 +1,38 @@
 # %% [markdown]
 # # A smooth wedge in clay: Hill, Lee and Tupper's solution
 #
-# A rigid, smooth wedge of the semi-angle θ is pressed into clay that flows at constant volume
-# under the shear stress $c_u$. The flow is similar to itself at every depth c: with the angle ψ of
-# the fan,
+# A rigid, smooth wedge of the semi-angle θ is pressed into clay of the undrained strength $c_u$,
+# which flows at constant volume. The flow is self-similar at every depth c. The angle ψ of the
+# fan follows from
 #
 # $$ \cos(2\theta - \psi) = \frac{\cos\psi}{1 + \sin\psi}, \qquad p = 2 c_u (1 + \psi), $$
 #
-# the pressure p acts up to a lip that is λc above the first surface,
-# $\lambda = (1 + \lambda)\sin(\theta - \psi)/\cos\theta$, and the wedge carries
+# The pressure p acts up to a lip that is λc above the first surface, with
+# $\lambda = (1 + \lambda)\sin(\theta - \psi)/\cos\theta$. The wedge carries
 # $2 p\,(1 + \lambda)\,c \tan\theta$ (Hill, Lee & Tupper 1947). One half is solved, to the depth
-# `--depth`; what is compared is the rise of the force beyond 0.3 of it, for at first a few
-# corners alone touch, which gives the force a head start. It is not smooth: points come to the
-# wedge's side one by one.
+# `--depth`. The slope of the force from 0.3 of this depth on is compared. At first only a few
+# corners touch, so that the force starts too large. The force is not smooth, because points come
+# to the side of the wedge one by one.
 #
-# Corners follow the material: those of the points' domains, which do not turn, make the lip a
-# stair. F-bar, which footings on clay need, lets it flow too much here (by a third at 30° with 2²
-# points).
+# The corners of contact follow the material. Corners of domains that do not turn would make the
+# lip a stair. F-bar, which footings on clay need, makes the clay flow too much here (by a third
+# at 30° with 2² points).
 #
-# The clay in the plane of symmetry parts at the tip: nodes there are held below the cell of the tip
-# alone, by a condition that follows the wedge. Were they all held, as those of a roller, the wedge
-# would be blunt by three cells where it is sharp.
+# The clay in the plane of symmetry parts at the tip. A condition that follows the wedge holds
+# only the nodes below the cell of the tip. Rollers along the whole plane would make the sharp
+# wedge blunt by three cells.
 #
-# What comes out with the default sizes, of which narrow wedges have smaller cells, and quadratic
-# splines: the slope within 4 % at 15°, 20°, 30° and 45°; at 20°, +3.7 % become +0.3 % with
-# `--h 0.0367`, cells of three quarters. The head start remains, so that the mean
-# pressure (`mean_pressure`) is too large, by 14 % at 30° and 7 % at 45°; `pressure` is that of the
-# rise. GIMP comes as near from 20° on, with a head start two to three times as large, but its
-# domains grow with U, which is right for what is stretched and wrong for what is sheared many times
-# its size: at 15° no step converges from half the depth on. Domains that follow the volume alone
-# (`--domains volume`) come to the end there, 9 % low, and are 14 % low at 30°.
+# Results with the default sizes and quadratic splines (narrow wedges have smaller cells): the
+# slope is within 4 % at 15°, 20°, 30° and 45°. At 20°, +3.7 % becomes +0.3 % with `--h 0.0367`,
+# cells of three quarters. The force at the start stays too large, so the mean pressure
+# (`mean_pressure`) is too large by 14 % at 30° and by 7 % at 45°. `pressure` is that of the
+# slope.
+#
+# GIMP is as accurate from 20° on, with a force at the start that is two to three times as much
+# too large. Its domains grow with U. This is right for stretched soil, and wrong for soil that is
+# sheared many times its size: at 15° no step converges from half the depth on. Domains that
+# follow the volume alone (`--domains volume`) come to the end there. They are 9 % low, and 14 %
+# low at 30°.
 
 # %%
 import math

@@ -4,11 +4,11 @@
 # There are two ways to a law that the library does not have.
 #
 # **A kernel.** A law is a function of three principal logarithmic strains, compiled by Numba, and
-# a class that names its parameters and its internal variables; the kinematics of large strain,
-# the tangent of the weak form and the points' state are the library's. The law between the marks
-# below is von Mises' with Swift's hardening of metals,
-# $\rho_y = A\,(1 + \alpha/\alpha_0)^n$: all of it, with its return mapping and its consistent
-# tangent.
+# a class that names its parameters and its internal variables. The library has the kinematics of
+# large strain, the tangent of the weak form and the state of the points. The law between the
+# marks below is von Mises' with Swift's hardening of metals,
+# $\rho_y = A\,(1 + \alpha/\alpha_0)^n$. It is complete, with its return mapping and its
+# consistent tangent.
 
 # %%
 import math

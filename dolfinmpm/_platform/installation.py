@@ -39,10 +39,10 @@ def info() -> str:
     """Versions of everything that dolfinmpm runs on, for a bug report.
 
     Returns:
-        One line an entry; a session that evaluates `dolfinmpm.info()` shows it as
-        printed. Not collective: what is said holds for the rank that asks.
+        Text with one line per entry. A notebook shows it as it is printed. Not collective: the
+        text holds for the rank that calls.
 
-    What a report of a fault begins with:
+    The first line has the version of dolfinmpm:
 
     >>> import dolfinmpm as mpm
     >>> print(mpm.info().splitlines()[0].split()[0])

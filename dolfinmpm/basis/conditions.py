@@ -181,20 +181,20 @@ def prescribed(
             of node positions (m), shape (gdim, n), that returns n booleans; see
             `dolfinmpm.grid.userfunctions`. Within the grid, quadratic splines have their nodes in
             the middles of cells and hold no grid line: take `mpm.dirichlet` there.
-        component: Component of the field.
-        increment: Increment per step (m for a displacement), of a field that moves points: a
-            number, a scalar DOLFINx constant, or a function of node positions like `where` that
-            returns n numbers. When a step is halved, so is the increment.
-        value: The field's own value, of a field that the form carries from step to step, such as
-            the pressure of `poromechanics` (Pa); given as an increment is. A step that is halved
-            keeps the value.
-        follows: Whether `where`, a function, is asked anew in every step, such as for the part of
-            a plane of symmetry that a tool has not opened yet; there may be no node then.
+        component: Component of the field, from 0; 0 for a scalar field.
+        increment: For a displacement: increment per step (m), a number, a scalar DOLFINx constant,
+            or a function of node positions like `where` that returns n numbers. When a step is
+            halved, so is the increment.
+        value: For a field that the form carries from step to step, such as the pressure of
+            `poromechanics`: its value (Pa), given as an increment is. A step that is halved keeps
+            the value.
+        follows: Whether the function `where` is called again in every step, such as for the part
+            of a plane of symmetry that a tool has not opened yet. Then it may find no node.
 
     Raises:
         ParameterError: The space, the side, the component, the increment or the value is not
-            what it may be, both are given, or no node is there. Problems refuse an increment of a
-            field that is carried, and a value of a field that moves points.
+            valid, both an increment and a value are given, or no node is there. Problems refuse
+            an increment of a field that is carried, and a value of a field that moves points.
 
     Two millimetres down in every step:
 

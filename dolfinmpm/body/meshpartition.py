@@ -42,13 +42,13 @@ _FACETS = {
 
 @collective(local=("vertices",))
 def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., Any]:
-    """A cell partitioner for DOLFINx's meshes by which every rank has its share of a body.
+    """A cell partitioner for DOLFINx's meshes that gives every rank its share of a body.
 
-    For grids whose cells are no boxes in a lattice; of cells that the shape overlaps every rank
-    gets as many as others, in a piece. Cells beyond facets to other ranks are ghosts there.
+    It is for grids that are not rectangular. Every rank gets the same number of cells that the
+    shape overlaps, in one piece. Cells beyond facets to other ranks are ghosts.
 
-    DOLFINx tells partitioners the cells, but not where their vertices are. A mesh
-    that was made in the same way before knows:
+    DOLFINx gives the cells to a partitioner, but not the positions of their vertices. A mesh
+    that was made in the same way before has these positions:
 
         first = dolfinx.mesh.create_rectangle(comm, corners, cells)
         grid = dolfinx.mesh.create_rectangle(
@@ -62,11 +62,11 @@ def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., A
             gives to `dolfinx.mesh.create_mesh`, shape (n, gdim).
 
     Returns:
-        What `dolfinx.mesh.create_mesh`, `create_rectangle`, ... take as `partitioner`. To make
-        it is collective.
+        The argument `partitioner` of `dolfinx.mesh.create_mesh`, `create_rectangle` and others.
+        This call is collective.
 
     Raises:
-        ParameterError: The shape is none.
+        ParameterError: `shape` is no shape.
 
     >>> import dolfinmpm as mpm
     >>> from dolfinx.mesh import create_unit_square

@@ -220,8 +220,8 @@ def contact_between(
         u: Increments of the two fields, `Space.increment`, in the order of the boundaries.
         v: Test functions of the two fields, `Space.test`, in the same order.
         friction: Coefficient μ of Coulomb's friction.
-        shear_limit: Largest shear stress of friction (Pa), or None: α c_u on clay, together with a
-            coefficient so large that it is reached.
+        shear_limit: Largest shear stress of friction (Pa), such as α c_u on clay. It acts where
+            μ times the pressure is larger, so it needs `friction`. None for no limit.
         penalty: κ in units of E/h: E is the harmonic mean of the bodies' Young's moduli, h the
             smallest height of a cell. `mpm.stiffness_per_area` returns κ. Where leaves are smaller
             than the cells of the grid, κ grows with the ratio of their heights.

@@ -109,9 +109,9 @@ class Explicit(MovingBody, Problem):
             Qiu 2010).
         time: DOLFINx constant that holds the time (s), for forms that depend on the time.
         fused: Whether one compiled loop may take a whole step, where it supports the form. It
-            supports laws of one strain formulation, loads, contact with rigid bodies, lumped
-            mass, rectangular grids in 2D and 3D, "flip", "pic", "apic" and "tpic", and F-bar in
-            2D. `unfused` says why the loop is not used.
+            supports laws of one strain formulation, body forces, contact with rigid bodies, lumped
+            mass, rectangular grids in 2D and 3D, "flip", "pic", "apic" and "tpic", and F-bar of
+            one law. `unfused` gives the reason if the loop is not used.
         collision: Bodies that touch each other at the nodes, see `Collision`. Without it all
             points move in one velocity field. Then bodies neither slide nor separate.
 

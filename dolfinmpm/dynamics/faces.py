@@ -133,8 +133,8 @@ def absorbing(
     Args:
         space: Space of the displacement, on a rectangular grid.
         sides: Names of sides; see `prescribed`.
-        density: ρ (kg/m^d).
-        p_speed, s_speed: Speeds of pressure and shear waves (m/s).
+        density: Density ρ of the ground beyond the sides (kg/m^d).
+        p_speed, s_speed: Speeds c_p and c_s of pressure and shear waves there (m/s).
         incoming: Waves that come in through the sides: per direction of motion a function of time
             that returns the velocity of the wave (m/s), such as an `InputMotion`, or None. The
             tractions are then ρ c (2 v_up − v). The upward wave v_up is half of the motion at an
@@ -309,7 +309,7 @@ def free_field(space: Space, *sides: str, column: GroundColumn) -> list[Face]:
 
     The side is the end of the body in this direction at the start, and follows the column. It may
     be within the grid: leave free cells beside the body if the ground moves far. Conditions must
-    not hold it. Both clocks have the same time.
+    not hold it. The column and the body have the same time.
 
     Args:
         space: Space of the body's displacement, on a rectangular grid whose last axis is vertical.

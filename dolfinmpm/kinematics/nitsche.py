@@ -169,32 +169,33 @@ def dirichlet(
     """Prescribed displacement on a boundary that does not fit the grid: terms to add to a form.
 
     Args:
-        law: The law of the body there, whose traction Nitsche's method needs. None with
-            method="penalty" and a stiffness per area.
         boundary: The boundary.
         u: Increment of the displacement in the step (m), `Space.increment`.
         v: Test function, `Space.test`.
-        value: Displacement since the condition was made (m): a vector, or a number with a
-            `direction`; a DOLFINx constant, of whose change substeps take a share; a UFL expression
-            over the boundary; or a function of first positions (m), shape (gdim, n), that returns
-            shape (n, gdim) or (n,). The first step brings about what is not zero at first. In time
-            the boundary moves evenly over each step.
+        value: Displacement since the condition was made (m), shape (gdim,), or a number with a
+            `direction`. It is a number or a vector; a DOLFINx constant; a UFL expression over the
+            boundary; or a function of first positions (m), shape (gdim, n), that returns shape
+            (n, gdim) or (n,). Substeps take a share of the change of a constant. The first step
+            applies a value that is not zero at the start. In time the boundary moves evenly over
+            each step.
+        law: The law of the body at the boundary. Nitsche's method needs its traction. None with
+            method="penalty" and a stiffness per area.
         method: "nitsche", "skew" or "penalty".
-        direction: None for all components, "normal" for the one along the boundary's
-            normal at the start of the step, as of rollers at any angle and symmetry planes, or
-            a vector for the one along it.
-        strain, tag: As for `momentum`; the condition is at markers whose nearest point
-            has the tag.
+        direction: None prescribes all components. "normal" prescribes the component along the
+            normal of the boundary at the start of the step, as rollers at any angle and planes of
+            symmetry do. A vector prescribes the component along this vector.
+        strain, tag: As for `momentum`. The condition acts at markers whose nearest point has
+            the tag.
         penalty: k in units of M/h: M is the P-wave modulus of the law's elasticity, h the size of
-            the largest cell. By default that of the cells' own constants for "nitsche", with F-bar
-            at least 20, 1 for "skew" and 1000 for "penalty", of which explicit steps are short:
-            give some 10 there.
-            `mpm.stiffness_per_area` tells k.
-        stiffness_per_area: k itself (Pa/m), instead.
+            the largest cell. The default of "nitsche" follows from an eigenproblem around each
+            cell, and is at least 20 with F-bar. The default of "skew" is 1, that of "penalty" is
+            1000. Explicit steps are short with it: give some 10 there. `mpm.stiffness_per_area`
+            returns k.
+        stiffness_per_area: k itself (Pa/m), instead of `penalty`.
 
     Raises:
-        ParameterError: An argument is not valid; beta and stiffness are both given; or the law is
-            missing.
+        ParameterError: An argument is not valid; `penalty` and `stiffness_per_area` are both
+            given; or the law is missing.
 
     The left face lies within cells, and moves by one centimetre:
 

@@ -259,19 +259,19 @@ def signorini(
     """A wall that takes compression but no tension: a term to add to a form.
 
     Args:
-        boundary: The wall, such as `Boundary.from_side(points, "right")`; its normal points
-            out of the body's room.
+        boundary: The wall, such as `Boundary.from_side(points, "right")`. Its normal points away
+            from the body.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         law: The law of the body at the wall, whose modulus scales the penalty; None with a
             stiffness per area.
-        friction: Coefficient μ of Coulomb's friction.
+        friction: Coefficient μ of Coulomb's friction (-), not negative.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
         penalty: k in units of M/h, see `dirichlet`: by default 100, and 10 in explicit steps.
-        slip_penalty: Stiffness against slip that sticks, likewise: by default 0.5, and half the
-            penalty in steps with inertia, where a body may hop.
-        stiffness_per_area: k itself (Pa/m), instead; that against slip is slip_penalty/penalty
-            of it.
+        slip_penalty: Stiffness against elastic slip while the body sticks, in units of M/h. The
+            default is 0.5. In steps with inertia, where a body may hop, it is half of the penalty.
+        stiffness_per_area: k itself (Pa/m), instead of `penalty`. The stiffness against slip is
+            then slip_penalty/penalty times this one.
 
     Raises:
         ParameterError: An argument is not valid; the boundary moves with a body; or law and

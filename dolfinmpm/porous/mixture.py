@@ -97,10 +97,10 @@ def poromechanics(
     `Newmark` for problems with inertia. For `QuasiStatic`, set `points.dt.value`; permeability=0
     then gives the undrained analysis in effective stresses.
 
-    The points carry the fields `pressure` (Pa) and `porosity`. `pressure` may be set before the
-    first step, such as the pressure of water at rest; its gradient follows from it. With gravity,
-    the field `density` (of the mixture, per initial volume) changes
-    with the water that drains.
+    A problem that is made of the form gives the points the fields `pressure` (Pa) and `porosity`.
+    `pressure` may be set before the first step, such as the pressure of water at rest. Its
+    gradient follows from it. With gravity, the field `density` (of the mixture, per initial
+    volume) changes with the water that drains.
 
     Args:
         soil: Law of the effective stress, see `momentum`.
@@ -117,7 +117,8 @@ def poromechanics(
             the points.
         fluid: The fluid, water by default.
         gravity: Acceleration b of both phases (m/s²), a vector for UFL such as a DOLFINx
-            constant; None for no gravity. It has the weight of the mixture: subtract no other.
+            constant; None for no gravity. With gravity the form contains the weight of the mixture:
+            do not subtract it again.
         theta: Weight of the flow at the end of the step: 1 is backward Euler, ½ is Crank-Nicolson.
         rho_inf: ρ∞ of `GeneralisedAlpha`; give both the same number. The balance of the water's
             volume then uses the generalised-α method for first-order equations, at the level at

@@ -154,6 +154,9 @@ def calibrate(
         max_runs: Largest number of runs with derivatives.
         progress: Function that gets each new row of the trace, such as `print`.
 
+    Returns:
+        The best parameters with their intervals, and the runs.
+
     Raises:
         ParameterError: A name is unknown, a shape is wrong, a start is out of bounds, a measurement
             is infinite, there are fewer measurements than parameters, or a figure of the first run

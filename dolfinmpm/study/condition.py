@@ -60,18 +60,19 @@ def conditioning(
 ) -> Conditioning:
     """Condition numbers and critical steps of a problem in its present state. Collective.
 
-    The mass is stabilised as the stiffness is: a ghost penalty with ρ/4 times the
-    factor of the basis, the same ties, a weak tie with ρ h^d. Soft stiffness helps no mass.
+    The mass gets the stabilisation of the stiffness. A ghost penalty has γ = ρ/4 times the factor
+    of the basis. Aggregation has the same constraints. Weak aggregation has the penalty ρ h^d.
+    Soft stiffness does not act on the mass.
 
     Args:
         problem: Problem whose tangent is K.
-        density: Density ρ (kg/m^d) that penalties of the mass are scaled with.
-        factor: Of these penalties.
-        extra: Form added to that of the consistent mass, such as a penalty of one's own; the
-            stiffness has it in the problem's form.
+        density: Density ρ (kg/m^d) that scales the penalties of the mass.
+        factor: Factor of the penalties of the mass (-), not negative.
+        extra: Form that is added to the consistent mass, such as your own penalty. A penalty of
+            the stiffness is in the form of the problem.
 
     Raises:
-        ParameterError: The problem has no tangent; density is not positive; gamma is negative; or
+        ParameterError: The problem has no tangent; density is not positive; factor is negative; or
             extra is no UFL form.
 
     >>> import dolfinmpm as mpm

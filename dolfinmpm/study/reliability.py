@@ -173,6 +173,9 @@ def reliability(
             in standard deviations.
         max_iterations: Largest number of iterations.
 
+    Returns:
+        Reliability index, probability of failure and design point.
+
     Raises:
         MissingPackageError: OpenTURNS is not installed.
         ParameterError: The figure is not among those of the scene, or there is no parameter.

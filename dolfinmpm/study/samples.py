@@ -150,6 +150,9 @@ def monte_carlo(
             for each run.
         unconverged: "raise", or "failure" to count a run without a solution as a failure.
 
+    Returns:
+        The figures of all runs; `probability` is the share of the runs that fail.
+
     Raises:
         ParameterError: An argument is not valid.
         ConvergenceError: A run finds no solution, with unconverged="raise".
