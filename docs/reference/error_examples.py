@@ -177,7 +177,7 @@ def DifferentProblemWarning():
 def OverlapWarning():
     points, V = block()
     F = mpm.momentum(SOIL, points, V.increment, V.test)
-    plate = mpm.RigidBody(mpm.Plane((0, 0.03), (0, 1)))
+    plate = mpm.RigidBody(mpm.Plane((0, 0.05), (0, 1)))
     F += mpm.contact(plate, points, V.increment, V.test)
     mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "top")).step()
 

@@ -47,8 +47,9 @@ _STRIDE, _THROUGH = 0.25, 0.25
 # longer than half the thickness. Faces at an edge of 45° or more are neighbours. At any depth a
 # corner may come from one to the other, and smaller steps do not change this.
 _OPPOSITE, _AROUND = -math.sqrt(0.5), -1e-6
-# Depth within a body at the start that is told, over the distance of a point from its corners
-_OVERLAP = 0.1
+# Depth within a body at the start that is told, over the distance of a point from its corners.
+# Points that are filled beside a round body have corners within it, most of them less deep.
+_OVERLAP = 0.5
 # Largest number of steps along a path
 _MOST = 10_000
 # Mask of the upper coordinates of the corners of a box, by dimension

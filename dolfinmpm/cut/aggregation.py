@@ -11,9 +11,6 @@ threshold. The two stabilisations then differ in the cells that may be roots. A 
 several cells, and may have a very small share in the only full cell. So the criterion of a spline
 is the share of its integral inside the body. Then both stabilisations are the same. Bodies that are
 too small or too thin for a well-filled cell of splines have their best cells as roots.
-
-Several cells may be equally good roots. The node then follows their mean, so that a problem and its
-mirror image have the same solution.
 """
 
 from __future__ import annotations
@@ -39,8 +36,6 @@ __all__ = ["SEARCH_RADIUS", "MeshRoots", "constraint_matrix", "mesh_roots"]
 
 # Cells around a node in which its root is searched.
 SEARCH_RADIUS = 4
-# Most roots of one node that are equally good: in 3D up to 24 cells are equally far from a node
-_EQUAL = 24
 # Share of the best cell's least function that is enough where no cell is filled well
 _SLIGHT = 0.1
 
@@ -77,12 +72,12 @@ def _inner(nodes, node_ijk, degree, origin, shape, good, inner):
 @numba.njit(cache=True, error_model="numpy")
 def _roots(
     outer, node_ijk, x, middles, middle_start, size, degree, origin, shape, root, radius, growth,
-    found, count,
+    found,
 ):  # fmt: skip
-    """Root cells of every outer node: those with the least growth, and of these the nearest ones.
+    """Root cell of every outer node: the cell with the least growth, then the nearest cell.
 
     `growth` is the logarithm of the growth by a continuation over k functions along one direction.
-    `count` is written: the number of equal roots, at most as many as `found` has room for.
+    Among equal cells the lattice position decides.
 
     A node on the grid's edge uses only cells on this edge. So it has the same conditions as the
     nodes of its root.
@@ -116,20 +111,15 @@ def _roots(
                     steps = max(c[d] - node_ijk[a, d], node_ijk[a, d] - c[d] - degree, 0)
                     grown += growth[steps]
                 worse = grown > least + 1e-9
-                equal = False
                 if not worse and grown > least - 1e-9:
-                    worse = distance > best * (1.0 + 1e-9)
-                    equal = distance >= best * (1.0 - 1e-9)
+                    worse = distance >= best * (1.0 - 1e-9)
                 if not allowed or worse:
                     continue
                 at = _linear_index(c, origin, shape)
                 if at >= 0 and root[at]:
-                    if not equal:
-                        best, least, count[k] = distance, grown, 0
-                    if count[k] < found.shape[1]:
-                        for d in range(gdim):
-                            found[k, count[k], d] = c[d]
-                        count[k] += 1
+                    best, least = distance, grown
+                    for d in range(gdim):
+                        found[k, d] = c[d]
             if best < np.inf:
                 break
 
@@ -192,22 +182,22 @@ def _lattice_constraints(basis: LatticeBasis, nodes, filled, threshold: float, e
     shape = np.array(halo.cell_table.shape, np.int64)
     inner, root = _inner_and_roots(basis, nodes, filled, threshold, extended)
     outer = nodes[~inner[nodes]]
-    found = np.empty((outer.size, _EQUAL, shape.size), np.int32)
-    number = np.zeros(outer.size, np.int64)
+    found = np.full((outer.size, shape.size), -1, np.int64)
     middles = [0.5 * (line[1:] + line[:-1]) for line in lattice.lines]
     starts = np.cumsum([0] + [m.size for m in middles])
     x = basis.node_coordinates()[:, : shape.size]
     _roots(
         outer, halo.node_ijk, x, np.concatenate(middles), starts, np.array(lattice.shape), degree,
-        halo.origin, shape, root, SEARCH_RADIUS, _growth(degree), found, number,
+        halo.origin, shape, root, SEARCH_RADIUS, _growth(degree), found,
     )  # fmt: skip
-    found = found[np.arange(_EQUAL) < number[:, None]]
+    has_root = found[:, 0] >= 0
+    outer, found = outer[has_root], found[has_root]
 
     @functools.cache
     def along(d: int, cell: int, function: int):
         return extension_weights(lattice.lines[d], degree, cell, function)
 
-    for a, cell in zip(np.repeat(outer, number), found):
+    for a, cell in zip(outer, found):
         weights = np.ones(1)
         for d in range(shape.size):
             weights = np.multiply.outer(weights, along(d, int(cell[d]), int(halo.node_ijk[a, d])))
@@ -218,7 +208,8 @@ def _lattice_constraints(basis: LatticeBasis, nodes, filled, threshold: float, e
 def _all_roots(basis: LinearBasis, good):
     """Well-filled cells of all ranks: corners, global nodes and their owners. Collective.
 
-    The cells are sorted by their middles, in the same order on any number of ranks.
+    The cells are sorted by their middles. So the choice among equal cells does not depend on the
+    number of ranks.
     """
     comm, index_map = basis.grid.comm, basis.nodes.index_map
     owner = np.full(basis.nodes.size, comm.rank, np.int32)
@@ -238,7 +229,7 @@ class MeshRoots:
     """Roots on a grid of any cells.
 
     Attributes:
-        outer: Nodes that need a root, once for each of its equally near roots, shape (n,).
+        outer: Nodes that need a root, shape (n,).
         corners: Corners of the root of each node (m), shape (n, nodes of a cell, 3).
         nodes: Global numbers of the root's nodes, shape (n, nodes of a cell).
         unknown: Global numbers, owners and positions (m) of root nodes unknown on this rank.
@@ -274,7 +265,7 @@ def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoo
 
         distance, near = cKDTree(middles).query(X[outer], k=[*range(1, count + 1)])
         equal = distance <= distance[:, :1] * (1 + 1e-9)
-        outer, root = np.repeat(outer, equal.sum(axis=1)), near[equal]
+        root = np.where(equal, near, len(middles)).min(axis=1)
     wanted = indices[root].ravel()
     unknown = basis.nodes.index_map.global_to_local(wanted) < 0
     new, first = np.unique(wanted[unknown], return_index=True)
@@ -333,20 +324,18 @@ def constraint_matrix(
     else:
         assert roots is not None
         found = _mesh_constraints(basis, roots)
-    number = np.zeros(size, int)
+    keep = np.ones(size, bool)
     rows, columns, values = [np.empty(0, int)], [np.empty(0, int)], [np.empty(0)]
     for a, masters, weights in found:
         used = np.abs(weights) > 1e-14
         masters, weights = masters[used], weights[used]
         if np.all(fixed[a]) or np.any(fixed[a] & ~np.all(fixed[masters], axis=0)):
             continue
-        number[a] += 1
+        keep[a] = False
         rows.append(np.full(masters.size, a))
         columns.append(masters)
         values.append(weights)
-    own = np.flatnonzero(number == 0)
-    row = np.concatenate([*rows, own])
-    # the mean over the roots of a node, which are equally good
-    data = np.concatenate([*values, np.ones(own.size)]) / np.maximum(number, 1)[row]
-    where = row, np.concatenate([*columns, own])
+    own = np.flatnonzero(keep)
+    data = np.concatenate([*values, np.ones(own.size)])
+    where = np.concatenate([*rows, own]), np.concatenate([*columns, own])
     return sparse.csr_matrix((data, where), shape=(size, size))

@@ -44,15 +44,15 @@ def cell_offsets(where: Placement, field: ActiveField) -> Array:
         cell = basis.halo.cell_table[tuple(position.T)].astype(np.int64)
         edges = [np.diff(line)[i] for line, i in zip(basis.lattice.lines, ijk.T)]
         size = np.prod(edges, axis=0) ** (1 / len(edges))
-    elif isinstance(basis, LeafBasis):
-        cell = basis.cells_at(where.x).astype(np.int64)
-        size = basis.cell_sizes()[cell]
-    if isinstance(basis, LatticeBasis | LeafBasis):
         sums = _summed(basis, cell, moments)
         if field.level is not None:
             sums, volume = _with_roots(where, field, sums)
-            size = size * np.clip(volume[cell], 1.0, 2.0)
+            size *= np.clip(volume[cell], 1.0, 2.0)
         mine = sums[cell]
+    elif isinstance(basis, LeafBasis):
+        cell = basis.cells_at(where.x).astype(np.int64)
+        size = basis.cell_sizes()[cell]
+        mine = _summed(basis, cell, moments)[cell]
     else:
         h = field.space.cell_size
         size = (
@@ -77,35 +77,35 @@ def _summed(basis: LatticeBasis | LeafBasis, cell: Ints, values: Array) -> Array
 def _with_roots(where: Placement, field: ActiveField, sums: Array) -> tuple[Array, Array]:
     """Common sums of ill-filled cells and their roots, and their fill fractions. Collective."""
     basis = field.basis
-    assert isinstance(basis, LatticeBasis | LeafBasis)
+    assert isinstance(basis, LatticeBasis)
     assert field.level is not None
     filled = fill_fractions(where, field.full_stencils, basis)
-    cell, root = _roots(basis, filled, field.level)
-    # a cell with equally near roots belongs to each of them by its share
-    share = (1.0 / np.bincount(cell, minlength=basis.cells.owned))[cell, None]
-    of_roots = _summed(basis, root, share * np.column_stack([sums, filled])[cell])
-    # only the owner of a cell knows its roots
+    root = _roots(basis, filled, field.level)
+    own = np.arange(basis.cells.owned)
+    of_roots = _summed(basis, root, np.column_stack([sums[own], filled[own]]))
+    # only the owner of a cell knows its root
     shared = basis.cells.vector(of_roots.shape[1])
     result = shared.array.reshape(-1, of_roots.shape[1])
-    result[:] = 0.0
-    np.add.at(result, cell, share * of_roots[root])
+    result[own] = of_roots[root]
     shared.scatter_forward()
     return result[:, :-1], result[:, -1]
 
 
-def _roots(basis: LatticeBasis | LeafBasis, filled: Array, level: float) -> tuple[Ints, Ints]:
-    """Each own cell with its nearest well-filled cells, or with itself if there is none."""
+def _roots(basis: LatticeBasis, filled: Array, level: float) -> Ints:
+    """The nearest well-filled cell of each own cell, or the cell itself if there is none."""
     from scipy.spatial import cKDTree
 
-    own = np.arange(basis.cells.owned)
+    ijk, own = basis.halo.cell_ijk, basis.cells.owned
+    root = np.arange(own)
     good = np.flatnonzero(filled >= level - 1e-9)
-    ill = np.flatnonzero((filled[: own.size] > 0) & (filled[: own.size] < level - 1e-9))
+    ill = np.flatnonzero((filled[:own] > 0) & (filled[:own] < level - 1e-9))
     if not good.size or not ill.size:
-        return own, own
+        return root
+    # among equal cells the lowest position decides, on any number of ranks
+    good = good[np.lexsort(ijk[good].T[::-1])]
     low, high = basis.cell_corners()
     middle, count = 0.5 * (low + high), min(_EQUAL, good.size)
     distance, near = cKDTree(middle[good]).query(middle[ill], k=[*range(1, count + 1)])
     equal = distance <= distance[:, :1] * (1 + 1e-9)
-    others = np.delete(own, ill)
-    cell = np.concatenate([others, np.repeat(ill, equal.sum(axis=1))])
-    return cell, np.concatenate([others, good[near[equal]]])
+    root[ill] = good[np.where(equal, near, good.size).min(axis=1)]
+    return root

@@ -28,9 +28,9 @@ def leaf_constraints(
     """Nodes with too little support, with the nodes of their roots and the weights.
 
     The root is the nearest leaf, with the distance in units of the larger one of the root and of
-    the cells at the node. For splines it is the leaf with the least weights. A node has all leaves
-    that are equally good, one after the other. A node on a side of the grid uses only leaves on
-    this side. Hanging nodes follow their leaf and need no root.
+    the cells at the node. For splines it is the leaf with the least weights. Among equal leaves
+    the lowest one decides. A node on a side of the grid uses only leaves on this side. Hanging
+    nodes follow their leaf and need no root.
 
     Args:
         basis: The basis.
@@ -56,7 +56,8 @@ def leaf_constraints(
     if not outer.size or not roots.size:
         return
     roots = roots[np.argsort(basis.leaf[roots], kind="stable")]
-    outer, nearest = _nearest(basis, outer, roots)
+    nearest = _nearest(basis, outer, roots)
+    outer, nearest = outer[nearest >= 0], nearest[nearest >= 0]
     if not outer.size:
         return
     weights: Array = np.ones((outer.size, 1))
@@ -67,10 +68,8 @@ def leaf_constraints(
         yield int(a), basis.corner_nodes[root], np.asarray(weights[k])
 
 
-def _nearest(
-    basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows
-) -> tuple[npt.NDArray[np.int32], Rows]:
-    """Nodes that have roots, each once for each of its roots, and these roots."""
+def _nearest(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows) -> Rows:
+    """Root of each node, or -1."""
     low, high = basis.cell_corners()
     size, x = basis.cell_sizes(), basis.node_coordinates()[outer, : low.shape[1]]
     around: Array = np.zeros(basis.nodes.size)
@@ -95,8 +94,9 @@ def _nearest(
     allowed |= ~allowed.any(axis=1, keepdims=True)
     unit = np.where(allowed & (unit <= far), unit, np.inf)
     best = unit.min(axis=1, keepdims=True)
-    equal = np.isfinite(unit) & (unit <= best * (1 + 1e-9))
-    return np.repeat(outer, equal.sum(axis=1)), roots[near[equal]]
+    chosen = np.where(unit <= best * (1 + 1e-9), near, roots.size).min(axis=1)
+    known = np.isfinite(best[:, 0])
+    return np.where(known, roots[np.minimum(chosen, roots.size - 1)], -1)
 
 
 def _candidates(x: Array, middles: Array, rows: Rows, most: int) -> tuple[Array, Rows]:

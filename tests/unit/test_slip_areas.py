@@ -71,6 +71,7 @@ def load_of_a_disc(adhesion):
     return 2 * body.force[1] / (2 * radius * cohesion)
 
 
+@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.OverlapWarning")
 def test_a_disc_with_adhesion_in_deep_clay():
     """Randolph & Houlsby 1984, doi 10.1680/geot.1984.34.4.613; it had 9.25, 10.05 and 10.78."""
     loads = [load_of_a_disc(adhesion) for adhesion in (0.0, 0.5, 1.0)]
