@@ -190,11 +190,8 @@ class Energies:
             UnknownNameError: There is no loss of this name.
         """
         if name not in self.losses:
-            own = hasattr(self, name)
-            more = f"; {name} is no loss, take energies().{name}" if own else ""
-            raise UnknownNameError(
-                f"no loss is named '{name}'; there are {', '.join(self.losses)}{more}"
-            )
+            more = f"; take energies().{name}" if hasattr(self, name) else ""
+            raise UnknownNameError(f"no loss is named '{name}'; there are {[*self.losses]}{more}")
         return self.losses[name]
 
 
