@@ -2,6 +2,12 @@
 
 The clay is weightless and under the even effective stress p₀ by the suction −p₀ of its water, with
 no total stress: what the cone carries is q_c − σ_v0. Pressures beyond those at first are p + p₀.
+
+Results in cells of R/2, after 8 R: the factor is 9.7 without drainage (Teh & Houlsby 9.72), 9.4 at
+v d/c_v = 1000, and 14.5 drained. The drained one is 1.55 times as large, and still grows by 7 %
+over four diameters. The middle of the curve is at 5.9 (a fit has V50 = 5.8, m = 1.2), with c_v of
+the ground at rest. At 1000, pore pressure is 77 % of the resistance. With five times the penalty,
+points are crushed at the shoulder.
 """
 
 from __future__ import annotations

@@ -45,12 +45,6 @@
 # drainage the reference is Teh & Houlsby's factor, with the closed form of the undrained strength
 # $c_u$ of the clay.
 #
-# Results in cells of R/2, after 8 R: the factor is 9.7 without drainage (Teh & Houlsby 9.72), 9.4
-# at $v d/c_v = 1000$, and 14.5 drained. The drained one is 1.55 times as large, and still grows
-# by 7 % over four diameters. The middle of the curve is at 5.9 (a fit has V50 = 5.8, m = 1.2),
-# with c_v of the ground at rest. At 1000, pore pressure is 77 % of the resistance. With five
-# times the penalty, points are crushed at the shoulder.
-#
 # A quarter of the cone in three dimensions has a smaller resistance than the axisymmetric cone on
 # the same grid lines (h = R/2, zone 1.5, growth 2): by 9.5 % from 7.2 R to 8.4 R. It is 5 % below
 # the axisymmetric one in cells of R/4, whose waves are smaller. The gaps around the cone are

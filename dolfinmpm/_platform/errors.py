@@ -175,7 +175,7 @@ class SingularMassWarning(DolfinMPMWarning):
 
 
 class OverlapWarning(DolfinMPMWarning):
-    """Corners of points begin within a rigid body, which pushes them out."""
+    """Corners of points begin deep within a rigid body, which pushes them out."""
 
 
 class RoughShapeWarning(DolfinMPMWarning):
