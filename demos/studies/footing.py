@@ -46,6 +46,7 @@
 # `tests/reference/footings.py`.
 
 # %%
+import itertools
 import time
 from dataclasses import dataclass, replace
 
@@ -102,9 +103,8 @@ class Input(Options):
     points_per_cell: int | None = natural(None, "in each direction; by the law")
     steps: int | None = natural(None, "of the footing; by the law")
     load: float | None = positive(None, "last pressure of a flexible footing (Pa)")
-    settlement: float | None = positive(
-        None, "last one of a rigid footing (m); 75 c B/E by default"
-    )
+    settlement: float | None = positive(None, "last one of a rigid footing (m); 75 c B/E")
+    rest: int = natural(0, "steps under the last load, in which a ghost penalty lets go", least=0)
     modulus: float | None = positive(None, "Young's modulus (Pa) of Tresca's clay")
     stabilisation: str = option("aggregation", choices=STABILISATIONS)
     integrator: str = option(
@@ -305,7 +305,7 @@ def run(args):
             residuals.append(scene.step())
         first = scene.sunk()
         history.record(load=0.0, centre=0.0, mean=0.0, edge=0.0)
-        for part in mpm.steps(args.steps, label="footing"):
+        for part in itertools.chain(mpm.steps(args.steps, label="footing"), [1.0] * args.rest):
             residuals.append(scene.press(part))
             names = "centre", "mean", "edge"
             history.record(load=scene.load(), **dict(zip(names, scene.sunk() - first)))

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
 from petsc4py import PETSc
 
 from dolfinmpm._platform.argumentchecks import number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.transient import Transient
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.kinematics.formulations import FORMULATIONS
@@ -21,7 +16,7 @@ from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.restart import SavedState
-from dolfinmpm.study.trial import Trial, largest_norm
+from dolfinmpm.study.trial import Trial, come_to_rest, held, largest_norm
 
 __all__ = ["FromState"]
 
@@ -29,6 +24,8 @@ __all__ = ["FromState"]
 _BEFORE = "x_before_reduction"
 # Shortest step of the reduction, relative to the first one; a trial fails below it
 _SHORTEST = 1 / 8
+# Length of a step at the reduced strength, relative to a step of the reduction: water hardly flows
+_LATER = 1e-2
 
 
 class FromState:
@@ -75,6 +72,8 @@ class FromState:
                 f"'{moving}' goes on moving, and a factor of safety is of a body whose loads stay: "
                 "give it a displacement that has been reached, or weight"
             )
+        # of the present trial: steps, iterations, largest displacement (m)
+        self._taken, self._iterations, self._moved = 0, 0, 0.0
         if not self._laws():
             raise ParameterError("no law of the problem has a strength to reduce")
 
@@ -120,62 +119,62 @@ class FromState:
         self._weaken(None)
         self._saved.restore()
         points.fields[_BEFORE] = points["x"].copy()
-        with self._at_rest():
+        with held(self._problem):
             return self._reduced(factor)
 
     def _reduced(self, factor: float) -> Trial:
         points = self._problem.points
-        done, share = 0.0, 1.0 / self._steps
-        taken, iterations, displacement, reason = 0, 0, 0.0, ""
+        self._taken, self._iterations, self._moved = 0, 0, 0.0
+        done, share, reason = 0.0, 1.0 / self._steps, ""
         while done < 1.0 and not reason:
             share = min(share, 1.0 - done)
             now = 1.0 + (factor - 1.0) * (done + share)
             self._weaken(now)
             try:
-                iterations += self._step(share)
+                reason = self._step(share, now)
             except (ConvergenceError, PointsOutsideGridError) as error:
                 left = isinstance(error, PointsOutsideGridError)
                 if left or share * self._steps < _SHORTEST * (1 + 1e-9):
                     reason = f"with strength over {now:.4g}: {error}"
                 share *= 0.5
                 continue
+            self._taken += 1
             done = 1.0 if 1.0 - done - share < 1e-12 else done + share
-            taken += 1
-            displacement = largest_norm(points.comm, points["x"] - points[_BEFORE])
-            if 1.0 + displacement / self._elastic > self._growth:
-                reason = (
-                    f"with strength over {now:.4g}: 1 + d/d_e = "
-                    f"{1.0 + displacement / self._elastic:.3g} is more than {self._growth:g}, with "
-                    f"the largest displacement since the state, d = {displacement:.4g} m, and the "
-                    f"displacement of the elastic body under the loads, d_e = {self._elastic:.4g} m"
-                )
-        grown = 1.0 + displacement / self._elastic
-        return Trial(factor, not reason, reason, taken, displacement, grown, iterations)
+        if not reason:
 
-    def _step(self, share: float) -> int:
-        """Take a step with a share of a trial's time, and return its iterations. Collective."""
-        problem = self._problem
+            def go_on() -> str:
+                try:
+                    return self._step(_LATER / self._steps, factor)
+                except (ConvergenceError, PointsOutsideGridError) as error:
+                    return f"with strength over {factor:.4g}: {error}"
+
+            reason = come_to_rest(go_on, points, self._elastic, self._growth)
+        grown = 1.0 + self._moved / self._elastic
+        return Trial(factor, not reason, reason, self._taken, self._moved, grown, self._iterations)
+
+    def _step(self, share: float, factor: float) -> str:
+        """Take a step with a share of a trial's time; whether the body fails in it. Collective.
+
+        Returns:
+            The reason if displacements have grown too much, or an empty string.
+        """
+        problem, points = self._problem, self._problem.points
         if isinstance(problem, Transient):
             assert self._over is not None
-            return problem.step(problem.time + self._over * share).iterations
-        return problem.step().iterations
-
-    @contextlib.contextmanager
-    def _at_rest(self) -> Iterator[None]:
-        """Set prescribed increments to zero in this context, but keep pressures. Collective."""
-        problem = self._problem
-        prescribed = problem.essential_conditions
-        still = [
-            condition
-            if condition.kind == "value"
-            else replace(condition, value=0.0, velocity=None, function=None)
-            for condition in prescribed.conditions
-        ]
-        problem.essential_conditions = EssentialConditions(still, problem.form.spaces)
-        try:
-            yield
-        finally:
-            problem.essential_conditions = prescribed
+            record = problem.step(problem.time + self._over * share)
+        else:
+            record = problem.step()
+        self._iterations += record.iterations
+        self._moved = largest_norm(points.comm, points["x"] - points[_BEFORE])
+        grown = 1.0 + self._moved / self._elastic
+        if grown <= self._growth:
+            return ""
+        return (
+            f"with strength over {factor:.4g}: 1 + d/d_e = {grown:.3g} is more than "
+            f"{self._growth:g}, with the largest displacement since the state, d = "
+            f"{self._moved:.4g} m, and the displacement of the elastic body under the loads, "
+            f"d_e = {self._elastic:.4g} m"
+        )
 
     def _elastic_displacement(self) -> float:
         """Largest displacement of the elastic body under the loads (m). Collective.

@@ -17,7 +17,7 @@ from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.fromstate import FromState
-from dolfinmpm.study.trial import FactorOfSafety, Trial, largest_norm
+from dolfinmpm.study.trial import FactorOfSafety, Trial, come_to_rest, held, largest_norm
 
 __all__ = ["factor_of_safety", "reduced_strength"]
 
@@ -72,8 +72,11 @@ def factor_of_safety(
     (Griffiths & Lane 1999, doi 10.1680/geot.1999.49.3.387). For Griffiths and Lane, a body fails if
     displacements rise dramatically and iterations do not converge. Here one of the two is enough.
     Displacements rise steeply above the factor of safety, so that `growth` matters little: with 2
-    to 10, the slope of Griffiths and Lane has factors of 1.40 to 1.45. A trial ends with the step
-    in which the body fails. Collective.
+    to 10, the slope of Griffiths and Lane has factors of 1.40 and 1.41. A trial ends with the step
+    in which the body fails. A body stands when it comes to rest: a trial goes on under the whole
+    load and the reduced strength until a step moves it by less than 1 % of the elastic displacement
+    under the loads. A ghost penalty resists the increment of each step, so that it can hold a body
+    that fails in one step, but not in the next ones. Collective.
 
     Ground without cohesion is different. It fails at its surface, in a layer that is thinner than
     the cells. A few points then move ahead of the body, and displacements rise gradually. The
@@ -144,7 +147,8 @@ def factor_of_safety(
         failure = (
             "a step of the reduction does not converge, also after halvings; or material points "
             f"leave the grid; or 1 + d/d_e is more than {growth:g}, with the largest displacement "
-            "d since the state, and the displacement d_e of the elastic body under the loads"
+            "d since the state, and the displacement d_e of the elastic body under the loads; or "
+            "the body does not come to rest at the reduced strength"
         )
         return FactorOfSafety(*found, failure)
     if not callable(loading):
@@ -156,7 +160,7 @@ def factor_of_safety(
     failure = (
         "a step of the load does not converge, also after halvings; or material points leave the "
         f"grid; or the largest displacement is more than {growth:g} times the displacement in "
-        "proportion to the load"
+        "proportion to the load; or the body does not come to rest under the whole load"
     )
     return FactorOfSafety(*found, failure)
 
@@ -198,11 +202,9 @@ class _FromStart:
     def __init__(self, loading: Loading, growth: float):
         self._loading, self._growth = loading, growth
         # displacement per step in proportion to the load, from the first step of the first trial
-        self._elastic: float | None = None
+        self._elastic = 0.0
 
     def __call__(self, factor: float) -> Trial:
-        growth, elastic = self._growth, self._elastic
-        steps, iterations, displacement, grown, reason = 0, 0, 0.0, 1.0, ""
         problems = self._loading(factor)
         if not isinstance(problems, Iterable):
             raise ParameterError(
@@ -210,39 +212,79 @@ class _FromStart:
                 "of the factor: for every step of the load it sets the load and has `yield "
                 "problem`, not `return problem`"
             )
+        way = _Way(self._elastic, self._growth)
+        reason, problem = "", None
         for problem in problems:
             if not callable(getattr(problem, "step", None)):
                 raise ParameterError(
                     f"the loading yields {shown(problem)}, and should yield the problem in every "
                     "step"
                 )
-            try:
-                record = problem.step()
-            except (ConvergenceError, PointsOutsideGridError) as error:
-                reason = f"in step {steps + 1} of the load: {error}"
+            reason = way.step(problem, f"in step {way.loads + 1} of the load", loads=1)
+            if reason:
                 break
-            steps += 1
-            iterations += record.iterations
-            displacement = largest_norm(
-                problem.points.comm, problem.points["x"] - problem.points["x0"]
-            )
-            elastic = displacement if elastic is None else elastic
-            if elastic <= 0:
-                raise ParameterError(
-                    "the first step of the load moves nothing: check that the load is not zero"
-                )
-            grown = displacement / (steps * elastic)
-            if grown > growth:
-                reason = (
-                    f"in step {steps} of the load: the largest displacement, {displacement:.4g} m, "
-                    f"is {grown:.3g} times the displacement in proportion to the load, more than "
-                    f"{growth:g}"
-                )
-                break
-        if steps < 2 and not reason:
+        if way.loads < 2 and not reason:
             raise ParameterError(
-                f"the loading at factor {factor:g} has {steps} steps, but needs at least two"
+                f"the loading at factor {factor:g} has {way.loads} steps, but needs at least two"
             )
-        if self._elastic is None and not reason:
-            self._elastic = displacement / (grown * steps)
-        return Trial(factor, not reason, reason, steps, displacement, grown, iterations)
+        # a rigid body with an increment moves in every step
+        rests = isinstance(problem, QuasiStatic) and problem.bodies.driven(1.0) is None
+        if rests and not reason:
+            with held(problem):
+                reason = come_to_rest(
+                    lambda: way.step(problem, "under the whole load"),
+                    problem.points, way.loads * way.elastic, self._growth,
+                )  # fmt: skip
+        if not reason:
+            self._elastic = way.elastic
+        return Trial(factor, not reason, reason, way.loads, way.moved, way.grown, way.iterations)
+
+
+class _Way:
+    """Steps of a trial, and how far they have moved the body.
+
+    Args:
+        elastic: Displacement per step in proportion to the load (m); zero for that of the first
+            step.
+        growth: Largest growth of displacements that counts as standing.
+
+    Attributes:
+        elastic: The argument, or the displacement of the first step.
+        loads: Number of converged steps of the load.
+        iterations: Newton iterations.
+        moved: Largest displacement of a point (m).
+        grown: The same over the displacement in proportion to the load.
+    """
+
+    def __init__(self, elastic: float, growth: float):
+        self.elastic, self._growth = elastic, growth
+        self.loads, self.iterations = 0, 0
+        self.moved, self.grown = 0.0, 1.0
+
+    def step(self, problem: QuasiStatic, when: str, loads: int = 0) -> str:
+        """Take a step; the reason of a failure, or an empty string. Collective.
+
+        Args:
+            problem: The problem.
+            when: The step in words, for the reason.
+            loads: Number of steps of the load that it is.
+        """
+        try:
+            record = problem.step()
+        except (ConvergenceError, PointsOutsideGridError) as error:
+            return f"{when}: {error}"
+        self.iterations += record.iterations
+        self.loads += loads
+        self.moved = largest_norm(problem.points.comm, problem.points["x"] - problem.points["x0"])
+        self.elastic = self.elastic or self.moved
+        if self.elastic <= 0:
+            raise ParameterError(
+                "the first step of the load moves nothing: check that the load is not zero"
+            )
+        self.grown = self.moved / (self.loads * self.elastic)
+        if self.grown <= self._growth:
+            return ""
+        return (
+            f"{when}: the largest displacement, {self.moved:.4g} m, is {self.grown:.3g} times the "
+            f"displacement in proportion to the load, more than {self._growth:g}"
+        )
