@@ -30,6 +30,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.compat import geometric_dimension, restrict
 from dolfinmpm.assembly.latticefacets import LatticeFacet, gauss_rule, product, splines
+from dolfinmpm.basis.space import Space
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
 __all__ = ["FacetTensors", "facet_moduli", "readable"]
@@ -76,7 +77,7 @@ def facet_moduli(form: ufl.Form) -> list[FacetModulus]:
     return [c for c in form.coefficients() if isinstance(c, FacetModulus)]
 
 
-def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
+def readable(form: ufl.Form, space: Space) -> bool:
     """Whether `FacetTensors` can evaluate a form over ghost facets.
 
     In such a form only arguments, sizes of cells and moduli of facets vary in space. Its metadata
@@ -84,7 +85,7 @@ def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
 
     Args:
         form: The form.
-        size: The `cell_size` of the form's space.
+        space: Space of the arguments; its `cell_size` and `cell_edges` may occur.
     """
     if any(integral.metadata().keys() - {"quadrature_degree"} for integral in form.integrals()):
         return False
@@ -93,8 +94,10 @@ def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
     except ValueError:
         # a restriction is missing: FFCx reports it
         return False
+    sizes = space.cell_size, space.cell_edges
     return all(
-        node is size or isinstance(node, _TERMINALS if node._ufl_is_terminal_ else _OPERATORS)
+        any(node is size for size in sizes)
+        or isinstance(node, _TERMINALS if node._ufl_is_terminal_ else _OPERATORS)
         for integral in integrals
         for node in unique_pre_traversal(integral.integrand())
     )
@@ -177,6 +180,8 @@ class _Numbers(MultiFunction):
         if isinstance(terminal, FacetModulus):
             return float(terminal is self._one)
         sizes = place.sizes(side)
+        if isinstance(terminal, fem.Function) and index:
+            return sizes[index[0]]
         if isinstance(terminal, fem.Function):
             return math.prod(sizes) ** (1 / len(sizes))
         if isinstance(terminal, FacetArea):

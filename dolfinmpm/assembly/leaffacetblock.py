@@ -298,7 +298,7 @@ def only_over(form: ufl.Form, kind: str, number: int) -> bool:
 def check_on_leaves(form: ufl.Form, space: Space) -> None:
     """Raise UnsupportedGridError unless a form is over ghost facets alone, and constant on each."""
     kinds = {integral.integral_type() for integral in form.integrals()}
-    if not (only_over(form, "interior_facet", GHOST_FACETS) and readable(form, space.cell_size)):
+    if not (only_over(form, "interior_facet", GHOST_FACETS) and readable(form, space)):
         raise UnsupportedGridError(
             f"integrals over {', '.join(sorted(kinds))} of the grid do not know the leaves of a "
             "refined space: use sums over points (points.dx, points.dX), surfaces and boundaries, "

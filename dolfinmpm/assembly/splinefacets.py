@@ -116,7 +116,7 @@ def uses_facet_classes(form: ufl.Form, space: Space) -> bool:
         ids = given if isinstance(given, tuple) else (given,)
         if integral.integral_type() != "interior_facet" or set(ids) != {GHOST_FACETS}:
             return False
-    if not readable(form, space.cell_size):
+    if not readable(form, space):
         return False
     # a line of equal cells has 2 degree − 1 kinds of cells; a graded line has one kind per cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]

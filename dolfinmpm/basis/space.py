@@ -23,6 +23,7 @@ from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.refinement import Refinement, refinement_of
 from dolfinmpm.grid.lattice import (
     Lattice,
+    cell_edges,
     cell_size,
     coarse_cell_size,
     lattice_of,
@@ -368,3 +369,12 @@ class Space(Uncopied):
         if self.coarsen == 1:
             return cell_size(self.grid)
         return coarse_cell_size(self.grid, self.coarsen)
+
+    @property
+    def cell_edges(self) -> fem.Function | None:
+        """Lengths of the edges of this field's cells for UFL (m). Collective.
+
+        None if all cells are equal squares or cubes, or no boxes; see `cell_size`. In a refined
+        space, terms over ghost facets replace them by the lengths of the smaller leaf.
+        """
+        return cell_edges(self.grid, self.coarsen)

@@ -27,7 +27,7 @@ from dolfinmpm.body.formsigns import FACETS, signed_form
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.lattice import cell_size
+from dolfinmpm.grid.lattice import cell_edges, cell_size
 from dolfinmpm.materials.base import lame
 
 __all__ = ["ghost", "soft"]
@@ -92,6 +92,19 @@ def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
     return derivative
 
 
+def _height(size: fem.Constant | fem.Function, edges: fem.Function | None) -> Expr:
+    """Height of the cells at a facet, normal to it (m); of the lower one of two.
+
+    A penalty with the height extends a function over the cut cell as the law would do. The size of
+    a long cell is another length, and a mean of two heights is too large for a thin cell.
+    """
+    if edges is None:
+        return ufl.avg(size) if isinstance(size, fem.Function) else size
+    n = ufl.FacetNormal(ufl.domain.extract_unique_domain(edges))("+")
+    a, b = (abs(ufl.dot(edges(side), n)) for side in "+-")
+    return (a + b - abs(a - b)) / 2
+
+
 def ghost(
     points: MaterialPoints,
     u: Expr,
@@ -106,6 +119,7 @@ def ghost(
     """Ghost penalty: jumps of the increment's normal derivatives across ghost facets.
 
     Σ_{k=1..q} γ h^{2k+1} / ((2k+1) (k!)²) ∫ [[∂ₙᵏ u]] · [[∂ₙᵏ v]] dΓ
+    with the height h of the cells normal to the facet, the smaller one of two
     (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). The penalty acts on the step's increment, so
     that no force accumulates. Splines of degree q are smooth up to the derivative q − 1, and have
     only the term k = q. In axisymmetric problems facets go around the axis, with the areas 2π r
@@ -175,6 +189,7 @@ def ghost(
     # h always before γ: FFCx identifies forms by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     size = cell_size(points.grid) if space is None else space.cell_size
+    edges = cell_edges(points.grid) if space is None else space.cell_edges
     if of_law:
         check_displacement(points, u=u, v=v)
     parts: list[Any] = [FacetModulus(points, u, target, scaling)("+")] if of_law else []
@@ -185,7 +200,7 @@ def ghost(
     weight: Expr = functools.reduce(operator.mul, parts)
     smooth, degree = (0, 1) if space is None else (space.basis.continuity, space.basis.degree)
     order = degree if order is None else whole("order", order, 1)
-    h = ufl.avg(size) if isinstance(size, fem.Function) else size
+    h = _height(size, edges)
     if scaling != "literal":
         weight = weight / h**2
 

@@ -21,6 +21,7 @@ from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.grid.lattice import (
     cell_size,
     coarse_cell_size,
+    edge_function,
     lattice_of,
     require_lattice,
     times_regridded,
@@ -32,7 +33,8 @@ Array = npt.NDArray[np.float64]
 
 # Functions whose values are kept on a grid when its lines move. Most of these values do not depend
 # on coordinates. The sizes of cells are functions in forms and get new values.
-_KEPT = ("_basis_of", "ghost_facets", "_constants_by_cell", "cell_size", "coarse_cell_size")
+_SIZES = ("cell_size", "coarse_cell_size", "cell_edges")
+_KEPT = ("_basis_of", "ghost_facets", "_constants_by_cell", *_SIZES)
 # Largest ratio of neighbouring cells outside a zone
 _STEEPEST = 3.0
 
@@ -175,7 +177,7 @@ def set_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
     kept = grid.__dict__["_dolfinmpm"]
     for key in [key for key in kept if key[0] not in _KEPT]:
         del kept[key]
-    makers: dict[str, Any] = {"cell_size": cell_size, "coarse_cell_size": coarse_cell_size}
+    makers: dict[str, Any] = dict(zip(_SIZES, (cell_size, coarse_cell_size, edge_function)))
     for key in [key for key in kept if key[0] in makers]:
         found = kept.pop(key)
         values = makers[key[0]](grid, *key[1:])

@@ -255,6 +255,36 @@ def coarse_cell_size(grid: Mesh, by: int) -> fem.Constant | fem.Function:
     return _as_function(grid, np.prod(edges, axis=0) ** (1 / len(edges)))
 
 
+@once_per_grid
+@collective
+def cell_edges(grid: Mesh, by: int = 1) -> fem.Function | None:
+    """Lengths of the edges of the cells in each direction, for UFL (m). Collective.
+
+    Args:
+        grid: The grid.
+        by: Ratio of the field's cells to those of the grid, see `Lattice.coarsened`.
+
+    Returns:
+        A piecewise constant vector. None if the cells are equal squares or cubes, or no boxes:
+        `cell_size` has their length in every direction.
+    """
+    lattice = lattice_of(grid)
+    if lattice is None:
+        return None
+    steps = np.concatenate([np.diff(line) for line in lattice.lines])
+    return None if np.ptp(steps) <= 1e-9 * steps.max() else edge_function(grid, by)
+
+
+def edge_function(grid: Mesh, by: int = 1) -> fem.Function:
+    """Lengths of the edges of the cells of a rectangular grid, see `cell_edges`. Collective."""
+    lattice = require_lattice(grid, "the lengths of edges").coarsened(by)
+    edges = fem.Function(fem.functionspace(grid, ("DG", 0, (len(lattice.lines),))), name="edges")
+    lengths = [np.diff(line)[ijk] for line, ijk in zip(lattice.lines, lattice.cell_ijk.T)]
+    edges.x.array[:] = np.column_stack(lengths).ravel()
+    edges._dolfinmpm_own = True
+    return edges
+
+
 def _as_function(grid: Mesh, sizes: npt.NDArray[np.float64]) -> fem.Function:
     """Sizes of the local cells (m) as a function that is marked as the library's own."""
     h = fem.Function(fem.functionspace(grid, ("DG", 0)), name="cell_size")

@@ -114,7 +114,7 @@ def by_definition(problem, u, gamma):
         corners = [(x[i], x[i + 1]) for x, i in zip(lines, low)]
         sizes = np.array([x[i + 1] - x[i] for x, i in zip(lines, low)])
         beyond = np.array([x[i + 1] - x[i] for x, i in zip(lines, high)])
-        h = 0.5 * (np.prod(sizes) ** (1 / len(lines)) + np.prod(beyond) ** (1 / len(lines)))
+        h = min(sizes[across], beyond[across])
         along = [0.5 * (a + b) + 0.5 * (b - a) * gauss for a, b in corners]
         share = [0.5 * (b - a) * weights for a, b in corners]
         # along the normal the highest derivative is constant in either cell
