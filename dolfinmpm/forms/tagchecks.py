@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -45,8 +46,9 @@ class TagChecks:
     alone: bool
     known: set[int] = field(default_factory=set)
 
-    @property
-    def _of_laws(self) -> list[Tags]:
+    @functools.cached_property
+    def of_laws(self) -> list[Tags]:
+        """Tags of each law and of each Space."""
         return [d.tags for d in self.declarations] + [s.tags for s in self.spaces]
 
     def check(self) -> None:
@@ -58,11 +60,11 @@ class TagChecks:
         """
         terms = tags_by_term(self.integrals)
         named = [*((f"the term '{brief(term)}'", tags) for term, tags in terms), *self.others]
-        if not any((*self._of_laws, *(tags for _, tags in named))):
+        if not any((*self.of_laws, *(tags for _, tags in named))):
             return
         in_use = tags_in_use(self.points)
         # points with the tags of a law or a Space may be added later
-        waiting = {tag for tags in self._of_laws for tag in tags or ()}
+        waiting = {tag for tags in self.of_laws for tag in tags or ()}
         for name, tags in named:
             if tags is not None and not set(tags) & (in_use | waiting):
                 raise FormError(
@@ -80,17 +82,16 @@ class TagChecks:
         self._check_loads(in_use)
 
     def check_new(self) -> None:
-        """Refuse loads on points of new tags without a law; returns all tags in use. Collective.
+        """Refuse loads on points of new tags without a law, if `of_laws` has tags. Collective.
 
         The user may have set tags since, or added points.
 
         Raises:
             FormError: Loaded points have no law.
         """
-        if any(self._of_laws):
-            new = tags_in_use(self.points) - self.known
-            self._check_loads(new)
-            self.known.update(new)
+        new = tags_in_use(self.points) - self.known
+        self._check_loads(new)
+        self.known.update(new)
 
     def _check_loads(self, tags: set[int]) -> None:
         """Refuse loads on points of some tags without a resisting term. Collective."""

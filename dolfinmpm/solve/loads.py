@@ -15,7 +15,7 @@ from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
 from dolfinmpm.assembly.state import OfCells
-from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.grid.constants import is_own, reached, take_reached
 
 __all__ = ["Loads", "check_loads", "load_name", "loads_of"]
@@ -150,24 +150,21 @@ def load_name(item: Any) -> str:
 
 
 def check_loads(
-    items: Sequence[Any],
-    form: ufl.Form,
-    bcs: Sequence[Condition],
-    comm: MPI.Comm,
-    error: Exception | None = None,
+    items: Sequence[Any], form: ufl.Form, essential: EssentialConditions, comm: MPI.Comm
 ) -> None:
     """Raise on all ranks if a load or a prescribed increment is not finite. Collective.
 
     Args:
         items: Constants and functions of the form.
         form: The form; the message names the term with the load.
-        bcs: Essential conditions.
+        essential: Essential conditions.
         comm: The ranks.
-        error: Another error of this rank, or None.
 
     Raises:
-        ParameterError: A value is not finite; the message has its name, value and term.
+        ParameterError: A value is not finite; the message has its name, value and term. Or the
+            user's list of conditions has changed.
     """
+    error = _changed_list(*essential.read)
     for item in items:
         function = isinstance(item, fem.Function)
         values = item.x.array if function else item.value
@@ -178,7 +175,7 @@ def check_loads(
                 f"the {kind} {load_name(item)}{value} is not finite{_where(item, form)}; set it to "
                 "the load that the step is to reach"
             )
-    for condition in bcs:
+    for condition in essential.conditions:
         # numbers have been checked before
         if not isinstance(condition.value, fem.Constant):
             continue
@@ -188,6 +185,23 @@ def check_loads(
                 "must be finite"
             )
     raise_together(comm, error)
+
+
+def _changed_list(given: list[Any], read: tuple[Any, ...]) -> ParameterError | None:
+    """An error if a list of conditions has changed since a problem has read it, or None.
+
+    Args:
+        given: The user's list, as it is now.
+        read: Its entries when the problem was made.
+    """
+    if len(given) == len(read) and all(a is b for a, b in zip(given, read)):
+        return None
+    return ParameterError(
+        f"bcs, the list of conditions, has {len(given)} entries now, and the problem has read it "
+        f"when it had {len(read)}; the change would have no effect. Make a new problem of the same "
+        "points with the new list, which goes on from their state. If the change is for another "
+        "problem, change a copy of the list, list(bcs)"
+    )
 
 
 def _where(item: Any, form: ufl.Form) -> str:
