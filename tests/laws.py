@@ -8,11 +8,31 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.materials import Law
+from dolfinmpm.materials import (
+    CamClay,
+    DruckerPrager,
+    Hencky,
+    Law,
+    MohrCoulomb,
+    Tresca,
+    VonMises,
+)
 from dolfinmpm.materials.base import Response
 
 Array = npt.NDArray[np.float64]
 EPS = np.finfo(float).eps
+# One law of each kind, for soil of some 1 MPa
+SOILS = {
+    "Hencky": Hencky(1e6, 0.3),
+    "VonMises": VonMises(1e6, 0.3, radius=2e4, hardening=1e5),
+    "Tresca": Tresca(1e6, 0.33, 1e4),
+    "MohrCoulomb": MohrCoulomb(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
+    "DruckerPrager": DruckerPrager(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
+    "CamClay": CamClay(
+        swelling=0.018, compression=0.13, M=1.05, mu0=5.4e6, alpha=0.0, reference_pressure=2e4,
+        preconsolidation=4e4,
+    ),
+}  # fmt: skip
 
 
 def random_strains(n: int, seed: int, low: float = 1e-12, high: float = 1.0) -> Array:

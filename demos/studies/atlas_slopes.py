@@ -23,12 +23,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import ufl
 from atlas_example import Example, culmann, random_of, rectangle
 from atlas_soils import law_of, pressure_of
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from scene import faces
 
 import dolfinmpm as mpm
 
@@ -82,19 +82,6 @@ def outline_of(p: dict[str, Any], width: float) -> list[tuple[float, float]]:
     """Corners of the body (m)."""
     base, top, (toe, _) = p["base"], p["base"] + p["height"], width_of(p)
     return [(0, 0), (width, 0), (width, base), (toe, base), (p["crest_width"], top), (0, top)]
-
-
-def faces(points: Any, inside: Any, width: float) -> list[Any]:
-    """The level and the upright part of the surface, a stair of the points' domains."""
-    found = []
-    for axis, name in ((1, "level"), (0, "upright")):
-        n, half = np.eye(2)[axis], points["l0"]
-        beyond = points["x0"] + 2 * half * n
-        free = ~inside(beyond.T) & (beyond[:, 0] < width)
-        offset = np.where(free[:, None], half * n, 0.0)
-        area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
-        found.append(mpm.Surface.from_arrays(points, offset, area, name=name))
-    return found
 
 
 def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> Example:

@@ -26,6 +26,7 @@ from atlas_example import Example, culmann, random_of, rectangle
 from atlas_soils import SWELLING, law_of
 from dolfinx import fem
 from mpi4py import MPI
+from scene import faces
 
 import dolfinmpm as mpm
 
@@ -98,7 +99,7 @@ def ground_of(p: dict[str, Any], comm: MPI.Comm) -> tuple[Any, Any, list[Any]]:
     inside = atlas_slopes.inside_of(p)
     points = mpm.fill(grid, mpm.Where(inside), p["per_cell"], 1.0)
     width = math.ceil(width / h - 1e-9) * h
-    return grid, points, atlas_slopes.faces(points, inside, width)
+    return grid, points, faces(points, inside, width)
 
 
 def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> Example:

@@ -59,7 +59,7 @@ from dolfinx import fem
 from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive, switch
-from scene import finish, say, solver_figures
+from scene import faces, finish, say, solver_figures
 from slope_pictures import BASE, HEIGHT, LIMITS, ROOM, TOE, WIDTH, picture, sheared
 
 import dolfinmpm as mpm
@@ -198,15 +198,7 @@ class Slope:
 
     def faces(self):
         """The level and the upright part of the surface."""
-        points, found = self.points, []
-        for axis, name in ((1, "level"), (0, "upright")):
-            n, half = np.eye(2)[axis], points["l0"]
-            beyond = points["x0"] + 2 * half * n
-            free = ~self.inside(beyond.T) & (beyond[:, 0] < WIDTH)
-            offset = np.where(free[:, None], half * n, 0.0)
-            area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
-            found.append(mpm.Surface.from_arrays(points, offset, area, name=name))
-        return found
+        return faces(self.points, self.inside, WIDTH)
 
     @property
     def fbar(self):

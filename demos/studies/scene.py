@@ -81,6 +81,19 @@ def say(*words: Any) -> None:
         print(*words, flush=True)
 
 
+def faces(points: Any, inside: Any, width: float) -> list[Any]:
+    """The level and the upright part of the surface, a stair of the points' domains."""
+    found = []
+    for axis, name in ((1, "level"), (0, "upright")):
+        n, half = np.eye(2)[axis], points["l0"]
+        beyond = points["x0"] + 2 * half * n
+        free = ~inside(beyond.T) & (beyond[:, 0] < width)
+        offset = np.where(free[:, None], half * n, 0.0)
+        area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
+        found.append(mpm.Surface.from_arrays(points, offset, area, name=name))
+    return found
+
+
 def fibre_stress(F: Any, stress: Any) -> Any:
     """Stress t·σt along the fibres t = F e_x/|F e_x| of a beam, shape (n,).
 

@@ -12,25 +12,26 @@ known too.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import expand_derivatives, extract_arguments, extract_coefficients
 from ufl.algorithms.analysis import extract_constants
-from ufl.classes import Zero
+from ufl.classes import CoefficientDerivative, Division, Product, Sum, Zero
 from ufl.constantvalue import zero
 from ufl.core.expr import Expr
+from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formsigns import MARK
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.energydensities import density_of
 from dolfinmpm.forms.placeholders import Placeholders
 from dolfinmpm.forms.pointterms import PointTerms, derive
 from dolfinmpm.forms.pointwise import compile_program
-from dolfinmpm.forms.termqueries import summands, tags_of
+from dolfinmpm.forms.termqueries import SPATIAL_DERIVATIVES, depends_on, summands, tags_of
 
 __all__ = ["STORED", "UFLStress"]
 
@@ -125,7 +126,7 @@ class UFLStress:
         total = zero()
         for integral in integrals:
             for k in movers:
-                found = density_of(integral.integrand(), spaces[k])
+                found = _density_of(integral.integrand(), spaces[k])
                 if found is None or self._points.dt in extract_constants(found):
                     return None
                 if isinstance(found, Zero):
@@ -170,3 +171,67 @@ def _full(tensor: Expr, around: Expr, points: MaterialPoints) -> Expr:
         return tensor
     rows = [[tensor[i, j] for j in range(2)] + [0] for i in range(2)]
     return ufl.as_tensor([*rows, [0, 0, around]])
+
+
+def _density_of(term: Expr, space: Space) -> Expr | None:
+    """Strain energy density of a term that is a derivative of an energy (J per unit of measure).
+
+    The density is found in `ufl.derivative(energy * dX, u, v)` before UFL expands the derivative.
+    Parts of the energy without the gradient of u, such as the potential of a load, are left out.
+    The density is 0 for a term without the gradient of the test function.
+
+    Args:
+        term: The term.
+        space: Space of the increment u and the test function v.
+
+    Returns:
+        The density, or None if the term is no derivative of an energy.
+    """
+    if isinstance(term, Sum):
+        total: Expr = zero()
+        for one in term.ufl_operands:
+            part = _density_of(one, space)
+            if part is None:
+                return None
+            total = total + part
+        return total
+    if isinstance(term, (Product, Division)):
+        return _scaled(term, space)
+    if isinstance(term, CoefficientDerivative):
+        energy, variables, directions = term.ufl_operands[:3]
+        if list(variables.ufl_operands) != [space.increment]:
+            return _other(term, space)
+        if list(directions.ufl_operands) != [space.test]:
+            return None
+        strained = [one for one in summands(energy) if _has_slope(one, [space.increment])]
+        return sum(strained, start=zero())
+    return _other(term, space)
+
+
+def _scaled(term: Expr, space: Space) -> Expr | None:
+    """Density of a derivative times a factor that does not depend on the increment."""
+    first, second = term.ufl_operands
+    for part, factor in ((first, second), (second, first)):
+        of_test = any(a == space.test for a in extract_arguments(part))
+        if not of_test or depends_on(factor, [space.increment]):
+            continue
+        density = _density_of(part, space)
+        if density is None:
+            return None
+        return density / factor if isinstance(term, Division) else density * factor
+    return _other(term, space)
+
+
+def _other(term: Expr, space: Space) -> Expr | None:
+    """0 for a term without the test function's gradient, else None: its energy is not known."""
+    tests = [a for a in extract_arguments(term) if a == space.test]
+    return None if tests and _has_slope(term, tests) else zero()
+
+
+def _has_slope(expression: Expr, of: Sequence[Any]) -> bool:
+    """Whether an expression contains a gradient of one of the functions."""
+    return any(
+        isinstance(node, SPATIAL_DERIVATIVES)
+        and any(c in of for c in (*extract_coefficients(node), *extract_arguments(node)))
+        for node in unique_pre_traversal(expression)
+    )

@@ -23,6 +23,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.markergeometry import (
+    check_outward,
     level_set_markers,
     put_inside,
     revolved,
@@ -33,7 +34,6 @@ from dolfinmpm.body.markergeometry import (
     triangle_markers,
     triangles_of,
 )
-from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.lattice import require_lattice

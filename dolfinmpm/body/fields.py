@@ -18,8 +18,7 @@ from dolfinmpm.grid.userfunctions import call_function
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["PointField", "no_field"]
-
+__all__ = ["PointField", "no_field", "space_at"]
 
 _IN_TIME = "mpm.Newmark, mpm.GeneralisedAlpha or mpm.Explicit gives it to them when it is made"
 _OF_LAW = "a law gives it to them when the problem is made"
@@ -37,6 +36,14 @@ _MAKERS = {
     "arc_increment": "mpm.ArcLength gives it to them when it is made",
     "effective_weight": "the body_force of an mpm.Deposit gives it to them",
 }
+
+
+def space_at(points: MaterialPoints, shape: tuple[int, ...]) -> ufl.FunctionSpace:
+    """What UFL takes for the space of values at the points, of a shape per point."""
+    cell = points.grid.topology.cell_name()
+    # degree 1: UFL would drop the gradient of a constant before a check can refuse it
+    element = basix.ufl.element("DG", cell, 1, shape=shape)
+    return ufl.FunctionSpace(points.grid.ufl_domain(), element)
 
 
 class PointField(ufl.Coefficient):
@@ -58,10 +65,7 @@ class PointField(ufl.Coefficient):
         unit: str,
         first: Any = 0.0,
     ):
-        cell = points.grid.topology.cell_name()
-        # degree 1: UFL would drop the gradient of a constant before a check can refuse it
-        element = basix.ufl.element("DG", cell, 1, shape=shape)
-        super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
+        super().__init__(space_at(points, shape))
         self.points = points
         self.name = name
         self.unit: str = unit

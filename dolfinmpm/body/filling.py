@@ -24,12 +24,18 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.basis.refinement import Refinement
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import require_axis, ring
-from dolfinmpm.body.cellparts import CellParts, LatticeParts, LeafParts, Parts
+from dolfinmpm.body.cellparts import (
+    CellParts,
+    LatticeParts,
+    LeafParts,
+    Parts,
+    check_amount,
+    check_per_cell,
+)
 from dolfinmpm.body.exchange import numbers_in_order
 from dolfinmpm.body.familyids import ROOT_BITS
 from dolfinmpm.body.location import bounds, destinations
 from dolfinmpm.body.pointchecks import require_grid
-from dolfinmpm.body.pointlimits import check_amount, check_per_cell
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
 from dolfinmpm.body.shapevolumes import correct, pieces_inside

@@ -107,7 +107,7 @@ def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
     """Take points away; see `MaterialPoints.remove`. Collective."""
     going = call_together(points.comm, lambda: _chosen(points, where, tag))
     if tag is not None:
-        check_in_use("tag", points, (tag,))
+        check_in_use(points, (tag,))
     change = _change(points, going)
     if change.count == points.total:
         raise ParameterError(

@@ -28,11 +28,10 @@ def in_order(tags: Iterable[int]) -> str:
     return ", ".join(str(tag) for tag in sorted(tags))
 
 
-def check_in_use(what: str, points: MaterialPoints, tags: Tags) -> None:
+def check_in_use(points: MaterialPoints, tags: Tags) -> None:
     """Raise ParameterError if no point has one of some tags. Collective.
 
     Args:
-        what: Name of the argument.
         points: Material points.
         tags: The tags, or None for all points.
     """
@@ -41,7 +40,7 @@ def check_in_use(what: str, points: MaterialPoints, tags: Tags) -> None:
     in_use = tags_in_use(points)
     if not set(tags) & in_use:
         raise ParameterError(
-            f"{what} = {tags[0] if len(tags) == 1 else tags}: no point has it; the points have the "
+            f"tag = {tags[0] if len(tags) == 1 else tags}: no point has it; the points have the "
             f"tags {in_order(in_use)}"
         )
 

@@ -19,8 +19,7 @@ from dolfinmpm._platform.argumentchecks import (
 )
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.heightvolumes import closed_mesh, volume_between
-from dolfinmpm.body.rasterarrays import raster_of_array, refuse_marks, windowed
-from dolfinmpm.body.rasterfiles import read_raster
+from dolfinmpm.body.rasters import raster_of_array, read_raster, refuse_marks, windowed
 from dolfinmpm.body.shapes import Polygon, Shape
 
 __all__ = ["GroundBelow", "Terrain"]

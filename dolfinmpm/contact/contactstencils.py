@@ -87,7 +87,7 @@ def growth_by_gradient(F: Array, l0: Array, growth: str) -> Array:
     Args:
         F: Deformation gradients, shape (points, d, d).
         l0: Initial half-lengths (m), shape (points, d).
-        growth: The rule, see `dolfinmpm.body.gimpdomains.update_domains`.
+        growth: The rule, see `dolfinmpm.basis.gimp.update_domains`.
     """
     n, d = l0.shape
     if growth == "fixed":

@@ -33,9 +33,9 @@ import scipy
 
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.facestencils import in_domains
+from dolfinmpm.basis.gimp import update_domains
 from dolfinmpm.basis.stencils import Stencils, selected, stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
-from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradient

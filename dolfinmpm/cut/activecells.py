@@ -1,4 +1,4 @@
-"""Active nodes and cells of a step, and the ghost facets."""
+"""Active nodes and cells of a step, and the ghost facets, of DOLFINx's mesh or between leaves."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from dolfinmpm._platform.compat import ghosted_partitioner
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Stencils
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
-from dolfinmpm.cut.leaffacets import ghost_facets_of_leaves
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
+from dolfinmpm.grid.leafsearch import node_at
 
 if TYPE_CHECKING:
     from dolfinmpm.cut.activation import ActiveField
@@ -82,6 +82,15 @@ def _select_facets(active, boundary, owned_facets, cell_facets, facet_cells, row
                     rows[number, 2], rows[number, 3] = other, j
                 number += 1
     return number
+
+
+def _filled(select: Any, *arguments: Any) -> GhostRows:
+    """Rows that a compiled loop writes, shape (facets, 4); a first call counts them."""
+    number = select(*arguments, np.empty((0, 4), np.int32))
+    rows = np.empty((number, 4), np.int32)
+    if number:
+        select(*arguments, rows)
+    return rows
 
 
 class GhostFacets:
@@ -156,14 +165,8 @@ class GhostFacets:
 
     def _between(self, active, boundary) -> GhostRows:
         """Facets between active cells, at least one of them a boundary cell, shape (facets, 4)."""
-        rows = np.empty((0, 4), np.int32)
-        for _ in range(2):  # first count, then fill
-            arguments = self._owned_facets, self._cell_facets, self._facet_cells
-            number = _select_facets(active, boundary, *arguments, rows)
-            if number <= len(rows):
-                break
-            rows = np.empty((number, 4), np.int32)
-        return rows
+        tables = self._owned_facets, self._cell_facets, self._facet_cells
+        return _filled(_select_facets, active, boundary, *tables)
 
 
 def _beside_inactive(active: npt.NDArray[np.bool_], basis: LatticeBasis) -> npt.NDArray[np.bool_]:
@@ -177,6 +180,89 @@ def _beside_inactive(active: npt.NDArray[np.bool_], basis: LatticeBasis) -> npt.
         neighbour = halo.cell_table[tuple((ijk[inside] - halo.origin).T)]
         beside[own[inside]] |= ~active[neighbour]
     return basis.cells.share_flags(beside)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _across(k, c, low, size, axis, upper, sample):
+    """Write the finest cell beyond a side of leaf c: the sample-th of 2^(d − 1) in its quarters."""
+    half = size[c] // 2
+    for j in range(k.size):
+        if j == axis:
+            k[j] = low[c, j] + (size[c] if upper else -1)
+        else:
+            k[j] = low[c, j] + (half if sample & 1 else 0)
+            sample >>= 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark_boundary_leaves(low, size, owned, active, cell_of, search, boundary):
+    """Mark active leaves with an inactive neighbour, or with a side that active ones only share."""
+    levels, shape, tree_low, tree_size, child = search
+    d = low.shape[1]
+    k = np.empty(d, np.int64)
+    for c in range(owned):
+        if not active[c]:
+            continue
+        for axis in range(d):
+            for upper in range(2):
+                for sample in range(1 << (d - 1)):
+                    _across(k, c, low, size, axis, upper, sample)
+                    node = node_at(k, levels, shape, tree_low, tree_size, child)
+                    if node >= 0 and (cell_of[node] < 0 or not active[cell_of[node]]):
+                        boundary[c] = True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _select_leaf_facets(low, size, owned, active, cell_of, search, boundary, rows):
+    """Write the facets as (cell, local facet, cell, local facet), the smaller cell first."""
+    levels, shape, tree_low, tree_size, child = search
+    d = low.shape[1]
+    k = np.empty(d, np.int64)
+    number = 0
+    for c in range(owned):
+        if not active[c]:
+            continue
+        for axis in range(d):
+            for upper in range(2):
+                _across(k, c, low, size, axis, upper, 0)
+                node = node_at(k, levels, shape, tree_low, tree_size, child)
+                other = cell_of[node] if node >= 0 else -1
+                if other < 0 or not active[other] or size[other] < size[c]:
+                    continue
+                if size[other] == size[c] and not upper:
+                    continue
+                if boundary[c] or boundary[other]:
+                    if number < rows.shape[0]:
+                        rows[number, 0], rows[number, 1] = c, 2 * axis + upper
+                        rows[number, 2], rows[number, 3] = other, 2 * axis + 1 - upper
+                    number += 1
+    return number
+
+
+def _ghost_facets_of_leaves(
+    active: npt.NDArray[np.bool_], empty: npt.NDArray[np.bool_], basis: LeafBasis
+) -> npt.NDArray[np.int32]:
+    """Facets between active leaves of which at least one borders on an inactive cell. Collective.
+
+    A local facet is 2 axis, or 2 axis + 1 for the upper side. The facet is a side of the first
+    cell, and the second cell is not smaller. A side at the edge of the grid makes no boundary cell.
+
+    Args:
+        active: Mask of the active cells of the basis.
+        empty: Mask of those without points, which are boundary cells wherever they lie.
+        basis: The basis on leaves.
+
+    Returns:
+        Rows (cell, local facet, cell, local facet), flattened.
+    """
+    tree, leaves = basis.leaves.tree, basis.leaves
+    low, size = leaves.low[basis.leaf], leaves.size[basis.leaf]
+    cell_of = basis.cells_of_nodes()
+    _, _, *search = tree.search
+    boundary = empty.copy()
+    graph = low, size, basis.cells.owned, active, cell_of, tuple(search)
+    _mark_boundary_leaves(*graph, boundary)
+    return _filled(_select_leaf_facets, *graph, basis.cells.share_flags(boundary)).ravel()
 
 
 @once_per_grid
@@ -205,7 +291,7 @@ def entities(
     empty = cells & ~active_cells(of_points, basis.cells)
     if isinstance(basis, LeafBasis):
         own = np.flatnonzero(cells[: basis.cells.owned]).astype(np.int32)
-        return {GHOST_FACETS: ghost_facets_of_leaves(cells, empty, basis), ACTIVE_CELLS: own}
+        return {GHOST_FACETS: _ghost_facets_of_leaves(cells, empty, basis), ACTIVE_CELLS: own}
     tables = ghost_facets(grid) if GHOST_FACETS in moving else None
     if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
         found[GHOST_FACETS] = tables.select_coarse(cells, empty, basis)

@@ -8,8 +8,6 @@ from collections.abc import Callable, Set
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm._platform.argumentchecks import choice, is_endless, number
@@ -143,9 +141,6 @@ class Settings:
     def plain(self) -> bool:
         """Whether neither bulk viscosity nor filters of light nodes act."""
         return not self.filters and self.viscosity == (0.0, 0.0)
-
-
-Array = npt.NDArray[np.float64]
 
 
 class ExplicitBase(ABC):

@@ -24,7 +24,6 @@ from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.solve.adaptation import adapt
-from dolfinmpm.solve.arguments import changed_list
 from dolfinmpm.solve.loads import check_loads
 
 __all__ = ["CallMemory", "ExplicitCall", "Snapshot"]
@@ -182,10 +181,8 @@ class ExplicitCall:
     def _begin(self) -> Set[str]:
         """Begin the call; returns the fields changed since the last call. Collective."""
         problem, memory = self._problem, self._memory
-        check_loads(
-            problem.loads.items, problem.form.given, problem.bcs, problem.comm,
-            changed_list(*problem.essential_conditions.read),
-        )  # fmt: skip
+        conditions = problem.essential_conditions
+        check_loads(problem.loads.items, problem.form.given, conditions, problem.comm)
         problem._check_still_valid()
         problem.bodies.follow_constants(self._whole)
         touched = memory.touched(problem.points)
@@ -194,11 +191,13 @@ class ExplicitCall:
             raise_together(problem.comm, points.error_in_fields() or overwritten(points))
             problem.form.check_new_tags()
         unseal_results(problem.points)
-        adapted = adapt(problem)
-        self._record.split, self._record.merged = adapted.split, adapted.merged
-        if adapted.split or adapted.merged:
-            touched = touched | _KINETIC
-        self._record.migrated += balance(problem.points)
+        if problem.form.adaptive:
+            adapted = adapt(problem)
+            self._record.split, self._record.merged = adapted.split, adapted.merged
+            if adapted.split or adapted.merged:
+                touched = touched | _KINETIC
+        if problem.comm.size > 1:
+            self._record.migrated += balance(problem.points)
         if touched & _KINETIC or not problem.ledger.started:
             problem.ledger.begin()
         self._loop.start(1.0 / self._whole, touched)
@@ -272,7 +271,8 @@ class ExplicitCall:
         self._check_energy()
         record.time = problem.time
         record.unknowns = problem.here.unknowns.total if problem.here is not None else 0
-        record.imbalance = imbalance(problem.points)
+        if problem.comm.size > 1:
+            record.imbalance = imbalance(problem.points)
         record.bodies = problem.bodies.record()
         self._loop.release()
         seal_results(problem.points)

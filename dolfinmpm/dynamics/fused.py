@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
@@ -32,8 +31,6 @@ from dolfinmpm.dynamics.pointarrays import Laws, PointArrays
 from dolfinmpm.dynamics.window import MARGIN, Prescribed, Window, WindowMeans
 
 __all__ = ["FusedSteps"]
-
-Array = npt.NDArray[np.float64]
 
 # Mappings with an affine part: their numbers in the loops, and the field of the affine part
 _AFFINE = {"apic": (1, "velocity_moment"), "tpic": (2, "velocity_gradient")}

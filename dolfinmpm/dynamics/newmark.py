@@ -16,8 +16,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -46,8 +44,6 @@ from dolfinmpm.solve.problemchecks import refuse_field_tags
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
 __all__ = ["GeneralisedAlpha", "Newmark", "TimeStepping"]
-
-Array = npt.NDArray[np.float64]
 
 
 class TimeStepping(MovingBody, QuasiStatic):

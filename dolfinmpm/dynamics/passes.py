@@ -24,7 +24,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 # Strain formulations
 LAW, SMALL, NEO, JAUMANN = 0, 1, 2, 3
 
-# Update rules of the points' domains, see `dolfinmpm.body.gimpdomains`; 0 means no domains
+# Update rules of the points' domains, see `dolfinmpm.basis.gimp`; 0 means no domains
 GROWTH = {"stretch": 1, "volume": 2, "fixed": 3}
 
 # Use of the means of F-bar in a pass: a first pass only sums them up over the cells, the next pass

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import FormError
+from dolfinmpm.body.fields import space_at
 from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["AveragingLaw", "KeepingLaw", "KeptTangents", "PointOperator", "PointwiseLaw", "if_kept"]
@@ -170,10 +170,7 @@ class PointOperator(ufl.Coefficient):
         name: str,
         tags: tuple[int, ...] | None = None,
     ):
-        cell = points.grid.topology.cell_name()
-        # degree 1: UFL would drop the gradient of a constant before our check can refuse it
-        element = basix.ufl.element("DG", cell, 1, shape=shape)
-        super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
+        super().__init__(space_at(points, shape))
         self.points = points
         self.law = law
         self.operand = operand

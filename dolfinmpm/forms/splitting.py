@@ -21,8 +21,7 @@ from dolfinmpm.forms.integrals import by_measure, check_derivatives
 from dolfinmpm.forms.lawderivatives import differentiate_through_laws
 from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
-from dolfinmpm.forms.subdomainchecks import check_subdomains
-from dolfinmpm.forms.tagchecks import TagChecks, tags_by_term
+from dolfinmpm.forms.tagchecks import TagChecks, check_subdomains, tags_by_term
 from dolfinmpm.forms.termqueries import brief, operators_in, tags_of, term_of
 
 __all__ = ["BoundaryTerms", "SplitForm", "SurfaceTerms", "split"]

@@ -1,26 +1,30 @@
-"""Checks for tags in a form that no point has, and for loaded points without a law."""
+"""Checks for tags that no point, cell or facet has, and for loads on points without a law."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import Tags
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import FormError, call_together
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.formsigns import MARK
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.formsigns import FACETS, MARK
+from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.body.tags import in_order, tags_in_use
 from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.forms.termqueries import brief, depends_on, operators_in, summands, tags_of
 
-__all__ = ["TagChecks", "tags_by_term"]
+__all__ = ["TagChecks", "check_subdomains", "tags_by_term"]
+
+_SYMBOLS = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,9 @@ class TagChecks:
     alone: bool
     known: set[int] = field(default_factory=set)
 
-    @property
-    def _of_laws(self) -> list[Tags]:
+    @functools.cached_property
+    def of_laws(self) -> list[Tags]:
+        """Tags of each law and of each Space."""
         return [d.tags for d in self.declarations] + [s.tags for s in self.spaces]
 
     def check(self) -> None:
@@ -58,11 +63,11 @@ class TagChecks:
         """
         terms = tags_by_term(self.integrals)
         named = [*((f"the term '{brief(term)}'", tags) for term, tags in terms), *self.others]
-        if not any((*self._of_laws, *(tags for _, tags in named))):
+        if not any((*self.of_laws, *(tags for _, tags in named))):
             return
         in_use = tags_in_use(self.points)
         # points with the tags of a law or a Space may be added later
-        waiting = {tag for tags in self._of_laws for tag in tags or ()}
+        waiting = {tag for tags in self.of_laws for tag in tags or ()}
         for name, tags in named:
             if tags is not None and not set(tags) & (in_use | waiting):
                 raise FormError(
@@ -80,17 +85,16 @@ class TagChecks:
         self._check_loads(in_use)
 
     def check_new(self) -> None:
-        """Refuse loads on points of new tags without a law; returns all tags in use. Collective.
+        """Refuse loads on points of new tags without a law, if `of_laws` has tags. Collective.
 
         The user may have set tags since, or added points.
 
         Raises:
             FormError: Loaded points have no law.
         """
-        if any(self._of_laws):
-            new = tags_in_use(self.points) - self.known
-            self._check_loads(new)
-            self.known.update(new)
+        new = tags_in_use(self.points) - self.known
+        self._check_loads(new)
+        self.known.update(new)
 
     def _check_loads(self, tags: set[int]) -> None:
         """Refuse loads on points of some tags without a resisting term. Collective."""
@@ -143,3 +147,76 @@ def _has(tags: Tags, tag: int) -> bool:
 
 def _all_of(declarations: Sequence[Declaration]) -> str:
     return ", ".join(dict.fromkeys(in_words(d.tags) for d in declarations))
+
+
+def check_subdomains(integrals: Sequence[Any], grid: Mesh) -> None:
+    """Refuse subdomains over which nothing, or something else, would be integrated. Collective.
+
+    Args:
+        integrals: Integrals over cells and facets of the grid.
+        grid: The grid.
+
+    Raises:
+        FormError: `points.dS` or `points.dC` is restricted; a tag has no subdomain data, or no
+            cell or facet has it; the data are of entities of another dimension; or integrals of
+            one kind have two sets of data, of which DOLFINx takes only one.
+    """
+    seen: dict[str, Any] = {}
+    for integral in integrals:
+        term, kind, data = (
+            f"the term '{brief(integral.integrand())}'",
+            integral.integral_type(),
+            integral.subdomain_data(),
+        )
+        own = {"interior_facet": GHOST_FACETS, "cell": ACTIVE_CELLS}.get(kind)
+        if FACETS in (integral.metadata() or {}):
+            if data is not None or integral.subdomain_id() != own:
+                name = "points.dS" if kind == "interior_facet" else "points.dC"
+                raise FormError(
+                    f"{term} restricts {name} to a subdomain; it integrates over all ghost facets "
+                    "or active cells: multiply the integrand by a function of DG 0 that is 0 or 1"
+                )
+            continue
+        if data is not None and seen.setdefault(kind, data) is not data:
+            raise FormError(
+                f"{term} has other subdomain data than another {kind} term of the form; put all "
+                "tags of a kind into one MeshTags"
+            )
+        for tag in _tags_of_entities(integral):
+            _check_tag(tag, data, term, kind, grid)
+
+
+def _tags_of_entities(integral: Any) -> Iterator[int]:
+    given = integral.subdomain_id()
+    for one in given if isinstance(given, tuple) else (given,):
+        if not isinstance(one, str) and one not in (GHOST_FACETS, ACTIVE_CELLS):
+            yield one
+
+
+def _check_tag(tag: int, data: Any, term: str, kind: str, grid: Mesh) -> None:
+    """Refuse a tag that no entity of the right dimension has. Collective."""
+    here = call_together(grid.comm, lambda: _has_entities(data, tag, term, kind, grid))
+    if not grid.comm.allreduce(here, op=MPI.LOR):
+        raise FormError(
+            f"{term} is integrated over {_SYMBOLS[kind]}({tag}), and nothing has the tag {tag} in "
+            "its subdomain data, on any rank: the term would vanish"
+        )
+
+
+def _has_entities(data: Any, tag: int, term: str, kind: str, grid: Mesh) -> bool:
+    """Whether an entity of this rank has a tag."""
+    symbol = _SYMBOLS[kind]
+    if data is None:
+        raise FormError(
+            f"{term} is integrated over {symbol}({tag}), and no subdomain data tell where that "
+            f'is: give them, ufl.Measure("{symbol}", domain=grid, subdomain_data=tags)({tag})'
+        )
+    if not isinstance(data, MeshTags):
+        return any(int(number) == tag and len(entities) for number, entities in data)
+    dim = grid.topology.dim - (kind != "cell")
+    if data.dim != dim:
+        raise FormError(
+            f"{term} is integrated over {symbol}, and its subdomain data are tags of entities of "
+            f"dimension {data.dim}: give tags of dimension {dim}"
+        )
+    return bool(np.any(data.values == tag))

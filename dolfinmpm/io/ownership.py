@@ -30,16 +30,15 @@ def take_paths(owner: Any, paths: Iterable[Path]) -> None:
         _owners[_key(path)] = owner
 
 
-def refuse_part(paths: Iterable[Path], first: Path, what: str) -> None:
-    """Raise if files belong to another object that is not of the same first file.
+def refuse_part(paths: Iterable[Path], first: Path) -> None:
+    """Raise if files belong to a ParaView series that is not of the same first file.
 
-    An object of the same first file replaces the other one as a whole; any other would overwrite
-    a part of it.
+    A series of the same first file replaces the other one as a whole; any other would overwrite a
+    part of it.
 
     Args:
         paths: The files.
-        first: The first of them, which names the object.
-        what: Kind of object, for the message.
+        first: The first of them, which names the series.
 
     Raises:
         ParameterError: Another object owns some of the files.
@@ -54,8 +53,8 @@ def refuse_part(paths: Iterable[Path], first: Path, what: str) -> None:
             del owned
             gc.collect()
     raise ParameterError(
-        f"another {what} writes '{others[0]}', which belongs to '{first}' too: give one of them "
-        "another name"
+        f"another ParaView series writes '{others[0]}', which belongs to '{first}' too: give one "
+        "of them another name"
     )
 
 

@@ -131,7 +131,7 @@ class ParaView:
         self._times: list[float] = []
         call_together(self.comm, self._check_arguments)
         self._mesh = call_together(self.comm, lambda: GridMesh(points.grid, self._increments))
-        call_together(self.comm, lambda: refuse_part(self._paths, self.path, "ParaView series"))
+        call_together(self.comm, lambda: refuse_part(self._paths, self.path))
         self._on_root(self._write_series)
         self._on_root(self._write_recipe)
         take_paths(self, self._paths)

@@ -4,7 +4,7 @@ All strain formulations pass principal elastic strains to the same laws. They di
 the update of the elastic strain by an increment, and the stress measure of the law.
 """
 
-from dolfinmpm.body.gimpdomains import update_domains
+from dolfinmpm.basis.gimp import update_domains
 from dolfinmpm.kinematics.deposits import Deposit, Layer
 from dolfinmpm.kinematics.formulations import Jaumann, LargeStrain, SmallStrain
 from dolfinmpm.kinematics.initialstress import geostatic_stress

@@ -19,7 +19,7 @@ from dolfinmpm.forms.declarations import (
     rows_within,
 )
 from dolfinmpm.forms.pointwise import compile_here, input_numbers
-from dolfinmpm.kinematics.parameters import PointParameters
+from dolfinmpm.kinematics.strainformulation import PointParameters
 from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS, check_history, refuse_stress
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean

@@ -384,7 +384,7 @@ def set_stress(
     ([0.25, 0.25], [-17500.0, -35000.0, -17500.0])
     """
     one = strain_formulation(law, points, strain, tag)
-    check_in_use("tag", points, one.tags)
+    check_in_use(points, one.tags)
     one.bind()
     write_stress(one, stress)
     # existing problems check the revision before their next step

@@ -4,22 +4,58 @@ from __future__ import annotations
 
 import functools
 import inspect
+import operator
 from collections.abc import Callable
 from typing import Any
 
 import numba
+from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, models, overload, register_model
 
 from dolfinmpm._platform.argumentchecks import check_function, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.discardarray import DISCARDED
 
 __all__ = ["KERNEL_SIGNATURE", "Kernel", "call_law", "law_kernel", "respond_at_points"]
 
 _PACKAGE = __name__.partition(".")[0] + "."
 _DOUBLES = types.CPointer(types.float64)
 KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES)
+
+
+class _Discarded(types.Type):
+    """An array of which compiled functions discard all values.
+
+    A law's kernel compiled with this type for its tangent computes no tangent: the compiler removes
+    computations without effect.
+    """
+
+    def __init__(self):
+        super().__init__(name="Discarded")
+
+
+_DISCARDED = _Discarded()
+
+
+@register_model(_Discarded)
+class _DiscardedModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        # an address, as the caller gives one
+        super().__init__(manager, kind, ir.IntType(8).as_pointer())
+
+
+@overload(operator.setitem)
+def _set(array, index, value):
+    if isinstance(array, _Discarded):
+        return lambda array, index, value: None
+    return None
+
+
+@overload(operator.getitem)
+def _get(array, index):
+    if isinstance(array, _Discarded):
+        return lambda array, index: 0.0
+    return None
 
 
 class Kernel:
@@ -50,7 +86,7 @@ class Kernel:
         """
         if not self._function.__module__.startswith(_PACKAGE):
             return self.address
-        signature = types.int32(*[_DOUBLES] * 5, DISCARDED)
+        signature = types.int32(*[_DOUBLES] * 5, _DISCARDED)
         kept = numba.cfunc(signature, cache=True, error_model="numpy")(self._function)
         self._without_tangent = kept
         return kept.address
@@ -110,8 +146,6 @@ def call_law(typingctx, address, parameters, strain, old, new, stress, tangent):
     signature = types.int32(*[types.intp] * 7)
 
     def generate(context, builder, sig, args):
-        from llvmlite import ir
-
         pointer = ir.DoubleType().as_pointer()
         kind = ir.FunctionType(ir.IntType(32), [pointer] * 6)
         function = builder.inttoptr(args[0], kind.as_pointer())

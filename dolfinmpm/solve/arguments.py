@@ -37,7 +37,6 @@ from dolfinmpm.cut.tiedsides import TiedSides
 __all__ = [
     "ELSEWHERE",
     "as_read",
-    "changed_list",
     "check_bcs_and_loads",
     "check_conditions",
     "check_limits",
@@ -132,26 +131,9 @@ def check_conditions(bcs: Any, spaces: Sequence[Space]) -> list[Condition]:
 
 
 def as_read(bcs: Any) -> tuple[list[Any], tuple[Any, ...]]:
-    """The user's list of conditions, and its present entries, for `changed_list`."""
+    """The user's list of conditions, and its present entries, for `check_loads`."""
     given = bcs if isinstance(bcs, list) else []
     return given, tuple(given)
-
-
-def changed_list(given: list[Any], read: tuple[Any, ...]) -> ParameterError | None:
-    """An error if a list of conditions has changed since a problem has read it, or None.
-
-    Args:
-        given: The user's list, as it is now.
-        read: Its entries when the problem was made.
-    """
-    if len(given) == len(read) and all(a is b for a, b in zip(given, read)):
-        return None
-    return ParameterError(
-        f"bcs, the list of conditions, has {len(given)} entries now, and the problem has read it "
-        f"when it had {len(read)}; the change would have no effect. Make a new problem of the same "
-        "points with the new list, which goes on from their state. If the change is for another "
-        "problem, change a copy of the list, list(bcs)"
-    )
 
 
 def check_bcs_and_loads(bcs: Sequence[Condition], loads: Sequence[Any], configuration: str) -> None:

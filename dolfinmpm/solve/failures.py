@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.basis.conditionchecks import free_motions
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.facetedsurface import FacetedSurface
 from dolfinmpm.contact.rigidbody import RigidBody
-from dolfinmpm.contact.sharpedges import at_sharp_edge
 from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.solve.loosepieces import loose_piece
 from dolfinmpm.solve.newton import Newton
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FIRST", "advice_on", "begins_unbalanced", "ease", "failed_step", "why_step_failed"]
 
+Array = npt.NDArray[np.float64]
+
 # Share of the first substep
 FIRST = 0.125
 # Relative force out of balance at the start of the smallest substep, by its share of the load, that
@@ -37,6 +40,8 @@ FIRST = 0.125
 _UNBALANCED = 4.0
 # Rounding of positions, over the half-length of a point, that a balance of contact forces feels
 _ROUNDINGS = 4.0
+# Distance from an edge of a corner in line with it, as a share of the point's longest half-length
+_IN_LINE = 0.01
 
 
 def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed:
@@ -203,13 +208,36 @@ def _advice_on_edges(contacts: Sequence[ActiveRigidContact], comm: MPI.Comm) -> 
         comm: The ranks.
     """
     for contact in contacts:
-        if comm.allreduce(at_sharp_edge(contact), op=MPI.LOR):
+        if comm.allreduce(_at_sharp_edge(contact), op=MPI.LOR):
             return (
                 f". A sharp edge of '{contact.contact.body.name}' is in line with corners of "
                 "points, where the normal jumps and friction may find no balance: round it, "
                 "fillet=... of mpm.RigidBody, by some share of a cell, or make it a little wider"
             )
     return ""
+
+
+def _at_sharp_edge(active: ActiveRigidContact) -> bool:
+    """Whether corners of points with friction begin the step at a sharp edge, on this rank.
+
+    Args:
+        active: The contact.
+    """
+    body, points = active.contact.body, active.contact.points
+    if not isinstance(body.surface, FacetedSurface) or not active.contact.law.friction:
+        return False
+    touches = active.start.gap <= active.now.path
+    x = active.local_start[touches]
+    reach = _IN_LINE * points["l"].max(axis=1)[active.corners.rows[touches]]
+    return any(bool(np.any(_distances(x, *ends) <= reach)) for ends in body.surface.sharp_edges())
+
+
+def _distances(x: Array, a: Array, b: Array) -> Array:
+    """Distances of positions from a segment (m), shape (n,)."""
+    along = b - a
+    square = float(along @ along)
+    t = np.clip((x - a) @ along / square, 0.0, 1.0) if square else np.zeros(len(x))
+    return np.linalg.norm(x - a - t[:, None] * along, axis=1)
 
 
 def begins_unbalanced(problem: QuasiStatic, residuals: Sequence[float]) -> bool:

@@ -13,10 +13,9 @@ from mpi4py import MPI
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
 from dolfinmpm.assembly.state import OfCells
-from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.grid.cellvalues import set_values, values_of_cells
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.grid.constants import is_own, reached, take_reached
 
 __all__ = ["Loads", "check_loads", "load_name", "loads_of"]
@@ -96,7 +95,7 @@ class Loads:
         found: dict[str, Any] = {"change": np.array(self.change)}
         for k, (item, value) in enumerate(self.converged()):
             function = isinstance(item, fem.Function)
-            found[f"load {k}"] = OfCells(values_of_cells(item, value)) if function else value
+            found[f"load {k}"] = OfCells(_values_of_cells(item, value)) if function else value
         return found
 
     def set_state(self, values: Mapping[str, Any]) -> None:
@@ -104,7 +103,7 @@ class Loads:
         for k, (item, _) in enumerate(self.converged()):
             own = values[f"load {k}"]
             if isinstance(own, OfCells):
-                set_values(item, own.values)
+                _set_values(item, own.values)
             else:
                 item.value = own
         self.change = values["change"].tolist()
@@ -151,24 +150,21 @@ def load_name(item: Any) -> str:
 
 
 def check_loads(
-    items: Sequence[Any],
-    form: ufl.Form,
-    bcs: Sequence[Condition],
-    comm: MPI.Comm,
-    error: Exception | None = None,
+    items: Sequence[Any], form: ufl.Form, essential: EssentialConditions, comm: MPI.Comm
 ) -> None:
     """Raise on all ranks if a load or a prescribed increment is not finite. Collective.
 
     Args:
         items: Constants and functions of the form.
         form: The form; the message names the term with the load.
-        bcs: Essential conditions.
+        essential: Essential conditions.
         comm: The ranks.
-        error: Another error of this rank, or None.
 
     Raises:
-        ParameterError: A value is not finite; the message has its name, value and term.
+        ParameterError: A value is not finite; the message has its name, value and term. Or the
+            user's list of conditions has changed.
     """
+    error = _changed_list(*essential.read)
     for item in items:
         function = isinstance(item, fem.Function)
         values = item.x.array if function else item.value
@@ -179,7 +175,7 @@ def check_loads(
                 f"the {kind} {load_name(item)}{value} is not finite{_where(item, form)}; set it to "
                 "the load that the step is to reach"
             )
-    for condition in bcs:
+    for condition in essential.conditions:
         # numbers have been checked before
         if not isinstance(condition.value, fem.Constant):
             continue
@@ -189,6 +185,23 @@ def check_loads(
                 "must be finite"
             )
     raise_together(comm, error)
+
+
+def _changed_list(given: list[Any], read: tuple[Any, ...]) -> ParameterError | None:
+    """An error if a list of conditions has changed since a problem has read it, or None.
+
+    Args:
+        given: The user's list, as it is now.
+        read: Its entries when the problem was made.
+    """
+    if len(given) == len(read) and all(a is b for a, b in zip(given, read)):
+        return None
+    return ParameterError(
+        f"bcs, the list of conditions, has {len(given)} entries now, and the problem has read it "
+        f"when it had {len(read)}; the change would have no effect. Make a new problem of the same "
+        "points with the new list, which goes on from their state. If the change is for another "
+        "problem, change a copy of the list, list(bcs)"
+    )
 
 
 def _where(item: Any, form: ufl.Form) -> str:
@@ -203,3 +216,58 @@ def _where(item: Any, form: ufl.Form) -> str:
                 text = str(term)
                 return f" in the term '{text if len(text) <= 200 else text[:197] + '...'}'"
     return ""
+
+
+Array = npt.NDArray[np.float64]
+
+
+def _nodes(function: fem.Function) -> tuple[npt.NDArray[np.int32], Array, int]:
+    """Nodes of the owned cells, positions of all nodes on this rank, and values per node."""
+    space = function.function_space
+    grid = space.mesh
+    try:
+        x = space.tabulate_dof_coordinates()
+    except RuntimeError as cause:
+        raise CheckpointError(
+            f"the function '{function.name}' of the element {space.ufl_element()} has no values "
+            "at nodes; interpolate it into a Lagrange or a discontinuous Lagrange space"
+        ) from cause
+    owned = grid.topology.index_map(grid.topology.dim).size_local
+    return space.dofmap.list[:owned], x[:, : grid.geometry.dim], space.dofmap.bs
+
+
+def _values_of_cells(function: fem.Function, array: Array) -> Array:
+    """Positions (m) of the nodes of every owned cell, and the values at the nodes.
+
+    Args:
+        function: A function of a space with values at nodes.
+        array: Degrees of freedom of the function on this rank.
+
+    Returns:
+        Positions and values, shape (owned cells, nodes per cell, gdim + values per node).
+
+    Raises:
+        CheckpointError: The space of the function has no values at nodes.
+    """
+    nodes, x, each = _nodes(function)
+    return np.concatenate([x[nodes], array.reshape(-1, each)[nodes]], axis=2)
+
+
+def _set_values(function: fem.Function, rows: Array) -> None:
+    """Set a function to values that `_values_of_cells` returned. Collective.
+
+    The values may come from another rank, or from another run. The order of the nodes in a cell
+    can therefore differ. Nodes are matched by their positions.
+
+    Args:
+        function: The function; its space has the same element as the space of the values.
+        rows: Positions and values of the owned cells, see `_values_of_cells`, in the order of the
+            cells of `function`.
+    """
+    nodes, x, each = _nodes(function)
+    gdim = x.shape[1]
+    apart = np.abs(rows[:, None, :, :gdim] - x[nodes][:, :, None, :]).max(axis=3)
+    nearest = np.argmin(apart, axis=2)
+    values = np.take_along_axis(rows[:, :, gdim:], nearest[:, :, None], axis=1)
+    function.x.array.reshape(-1, each)[nodes] = values
+    function.x.scatter_forward()

@@ -12,8 +12,8 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.term import NewState
+from dolfinmpm.basis.gimp import update_domains
 from dolfinmpm.body.axisymmetry import full_gradient, in_section
-from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.pointchecks import seal_results, unseal_results

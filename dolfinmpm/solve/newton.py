@@ -15,8 +15,7 @@ from petsc4py import PETSc
 
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.location import bounds
-from dolfinmpm.solve.convergencetest import ConvergenceTest
-from dolfinmpm.solve.fieldbalance import others_balanced, references
+from dolfinmpm.solve.convergencetest import ConvergenceTest, others_balanced, references
 from dolfinmpm.solve.initialguess import InitialGuess
 from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.method import Tangent

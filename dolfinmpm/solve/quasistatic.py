@@ -24,7 +24,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
-from dolfinmpm.solve.arguments import changed_list, check_limits, check_petsc_options, check_points
+from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.description import size_and_solver
 from dolfinmpm.solve.failures import FIRST, begins_unbalanced, ease, failed_step, why_step_failed
@@ -238,10 +238,7 @@ class QuasiStatic(Problem):
         step that failed has no record in `history`.
         """
         started, watch = time.perf_counter(), stages.Watch()
-        check_loads(
-            self.loads.items, self.form.given, self.essential_conditions.conditions, self.comm,
-            changed_list(*self.essential_conditions.read),
-        )  # fmt: skip
+        check_loads(self.loads.items, self.form.given, self.essential_conditions, self.comm)
         self.scheme.begin(self, t)
         self.loads.set_target()
         self._record = record = self.scheme.record()

@@ -191,7 +191,7 @@ class WeakForm:
         Raises:
             FormError: Loaded points have no law.
         """
-        if self._revision >= 0:
+        if self._revision >= 0 and any(self.parts.tagged.of_laws):
             self.parts.tagged.check_new()
 
     def _laws_of(self, modulus: FacetModulus) -> list[Declaration]:

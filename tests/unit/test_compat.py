@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import compat
-from dolfinmpm._platform.versions import NEWEST, OLDEST, check_version
+from dolfinmpm._platform.startup import NEWEST, OLDEST, check_version
 
 ROOT = Path(mpm.__file__).parent
 # what other versions of DOLFINx, UFL, FFCx and PETSc have in another way

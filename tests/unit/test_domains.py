@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError, PointsOutsideGridError
-from dolfinmpm.body.gimpdomains import update_domains
+from dolfinmpm.basis.gimp import update_domains
 
 F = np.array([[[4.0, 1.0], [0.0, 0.5]]])
 HALF = np.array([[0.1, 0.2]])

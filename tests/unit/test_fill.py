@@ -16,7 +16,7 @@ from dolfinmpm._platform.errors import (
     ShapeOutsideGridError,
     UnsupportedGridError,
 )
-from dolfinmpm.body import pointlimits
+from dolfinmpm.body import cellparts
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -257,7 +257,7 @@ def test_more_points_than_can_be_meant_are_refused(monkeypatch):
     ):
         mpm.fill(grid, mpm.Box((0.1, 0.2), (0.8, 0.7)), per_cell=5000, density=1.0)
     # and more than the machine has room for
-    monkeypatch.setattr(pointlimits, "_memory", lambda: 1e6)
+    monkeypatch.setattr(cellparts, "_memory", lambda: 1e6)
     for kind in ("quadrilateral", "triangle"):
         shape = mpm.Box((0.1, 0.2), (0.8, 0.7))
         with pytest.raises(

@@ -7,6 +7,7 @@ import pytest
 import ufl
 from conftest import unit_grid
 from dolfinx import fem
+from laws import SOILS
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
@@ -25,20 +26,7 @@ from dolfinmpm.materials.base import lame
 
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
 LAWS = {
-    "Hencky": mpm.materials.Hencky(1e6, 0.3),
-    "VonMises": mpm.materials.VonMises(1e6, 0.3, radius=2e4, hardening=1e5),
-    "Tresca": mpm.materials.Tresca(1e6, 0.33, 1e4),
-    "MohrCoulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
-    "DruckerPrager": mpm.materials.DruckerPrager(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
-    "CamClay": mpm.materials.CamClay(
-        swelling=0.018,
-        compression=0.13,
-        M=1.05,
-        mu0=5.4e6,
-        alpha=0.0,
-        reference_pressure=2e4,
-        preconsolidation=4e4,
-    ),
+    **SOILS,
     "NorSand": mpm.materials.NorSand(
         swelling=0.018, mu0=5.4e6, alpha=0.0, reference_pressure=2e4, M=1.25, N=0.2, chi=3.5,
         hardening=150.0, critical_void_ratio=0.82, critical_slope=0.03, void_ratio=0.65,

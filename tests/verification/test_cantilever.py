@@ -52,6 +52,16 @@ def hencky_energy(F, E, nu):
     return 0.5 * lmbda * ufl.ln(J) ** 2 + 0.5 * mu * (ufl.ln(J) ** 2 + difference)
 
 
+def balance(r, K, u, free, least):
+    """Newton's method for the free values of u, until forces are smaller than `least` (N)."""
+    for _ in range(20):
+        f = fem.assemble_vector(r).array[free]
+        if np.linalg.norm(f) < least:
+            return
+        u.x.array[free] -= spsolve(fem.assemble_matrix(K).to_scipy().tocsc()[free][:, free], f)
+    raise AssertionError("no equilibrium in 20 iterations")
+
+
 @functools.cache
 def conforming(cells=(40, 4), degree=2, steps=25, back=0.0):
     """Displacements (PL²/EI, u/L, v/L) of the same beam by conforming elements, total Lagrangian.
@@ -89,13 +99,7 @@ def conforming(cells=(40, 4), degree=2, steps=25, back=0.0):
     curve = []
     for k in range(1, steps + 1):
         traction.value[1] = -load * k / steps / (depth / 2)
-        for _ in range(20):
-            f = fem.assemble_vector(r).array[free]
-            if np.linalg.norm(f) < 1e-8 * load:
-                break
-            u.x.array[free] -= spsolve(fem.assemble_matrix(K).to_scipy().tocsc()[free][:, free], f)
-        else:
-            raise AssertionError(f"no equilibrium in step {k}")
+        balance(r, K, u, free, 1e-8 * load)
         curve.append((10 * k / steps, *(-u.eval(tip, cell) / length)))
     return np.array(curve)
 

@@ -6,28 +6,13 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem, mesh
+from laws import SOILS
 from mpi4py import MPI
 
 import dolfinmpm as mpm
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
-LAWS = {
-    "Hencky": mpm.materials.Hencky(1e6, 0.3),
-    "NeoHookean": mpm.materials.NeoHookean(1e6, 0.3),
-    "VonMises": mpm.materials.VonMises(1e6, 0.3, radius=2e4, hardening=1e5),
-    "Tresca": mpm.materials.Tresca(1e6, 0.33, 1e4),
-    "MohrCoulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
-    "DruckerPrager": mpm.materials.DruckerPrager(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
-    "CamClay": mpm.materials.CamClay(
-        swelling=0.018,
-        compression=0.13,
-        M=1.05,
-        mu0=5.4e6,
-        alpha=0.0,
-        reference_pressure=2e4,
-        preconsolidation=4e4,
-    ),
-}
+LAWS = {**SOILS, "NeoHookean": mpm.materials.NeoHookean(1e6, 0.3)}
 
 
 def grid_of(cells, size):
