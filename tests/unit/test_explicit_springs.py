@@ -1,4 +1,4 @@
-"""Blocks on soft springs and on soft rigid bodies in all orders of explicit steps."""
+"""Blocks on soft springs and rigid bodies in all orders of explicit steps, and a hammer."""
 
 from __future__ import annotations
 
@@ -69,3 +69,27 @@ def test_a_block_swings_on_springs(scheme):
     lag = 0.5 * PERIOD * (np.sqrt(1 + K / 3e7) - 1)
     way = (problem.points["x"] - problem.points["x0"])[:, 1].mean()
     assert way == pytest.approx(SPEED * lag, abs=0.01 * SPEED * PERIOD / (2 * np.pi))
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_a_hammer_hits_a_bar_with_a_consistent_mass(basis):
+    """v = v₀ exp(−ρ c t / m) while the wave runs; quadratic splines move less mass at a face."""
+    E, h, L, v0, mass = 1e6, 0.1, 2.0, 0.02, 200.0
+    c, corners = np.sqrt(E / DENSITY), [(0, -0.3), (2 * h, L + 0.3)]
+    quads = mesh.CellType.quadrilateral
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, (2, 26), quads)
+    points = mpm.fill(grid, mpm.Box((0, 0), (2 * h, L)), per_cell=2, density=DENSITY)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    free = (False, True, False)
+    hammer = mpm.RigidBody(
+        mpm.Box((-1, L), (1, L + 1)), mass=mass, free=free, velocity=(0, -v0), name="hammer"
+    )
+    F = mpm.momentum(mpm.materials.Hencky(E, nu=0.0), points, u, v)
+    F += mpm.contact(hammer, points, u, v, penalty=20)
+    problem = mpm.Explicit(F, u, points, mpm.rollers(V, "left", "right"), mass="consistent")
+    for t in mpm.times(L / c, dt=0.05 * L / c):
+        problem.step(t)
+    assert stored(problem) == pytest.approx(1.0, abs=0.04)
+    exact = np.exp(-DENSITY * c * 2 * h / mass * problem.time)
+    assert -hammer.freedom.velocity[1] / v0 == pytest.approx(exact, abs=0.03)
