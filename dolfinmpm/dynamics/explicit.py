@@ -72,7 +72,8 @@ class Explicit(MovingBody, Problem):
     are those in the middle of the last step, half a step before the positions, as all velocities
     that the points have then: the next step changes them by forces over half of both steps.
     Prescribed velocities are those in the middle of a step. `energies()` gives the kinetic energy
-    at the time of the positions.
+    at the time of the positions. Velocities at this time are, to second order,
+    `points["velocity"] + 0.5 * record.dt * points["acceleration"]` with the record of `step`.
 
     `step(t)` goes to the time t in as many steps as stability requires. In a loop over
     `times(end, dt="auto")` each call takes twenty fused steps, or one step that is not fused.
