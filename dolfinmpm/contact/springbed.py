@@ -30,7 +30,7 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.terms.surfaceterm import face_stencils
 
-__all__ = ["springs"]
+__all__ = ["ActiveSprings", "springs"]
 
 Array = npt.NDArray[np.float64]
 
@@ -116,6 +116,7 @@ class SpringBed(Term):
 class ActiveSprings(ActiveTerm):
     """A bed of springs on an activation; see `ActiveTerm`."""
 
+    kind = "springs"
     # the springs store energy, and are not a load
     is_load = False
 
@@ -152,11 +153,21 @@ class ActiveSprings(ActiveTerm):
         """See `ActiveTerm`."""
         self._u = u[self._k]
 
+    def _moved(self) -> Array:
+        """Displacements along the normals in the step (m), shape (springs,)."""
+        normals = self._bed.normals[0][self._rows]
+        return np.sum(normals * (self._seen @ self._u), axis=1)
+
+    def work_at_end(self) -> float:
+        """Work of the forces at the end of the step on its motion (J), on all ranks. Collective."""
+        k, moved = self._bed.normals[1][self._rows], self._moved()
+        done = -float(np.sum(k * (self._bed.way[self._rows] + moved) * moved))
+        return self._bed.points.comm.allreduce(done, op=MPI.SUM)
+
     def update(self, new: NewState) -> None:
         """See `ActiveTerm`."""
         way = self._bed.way
-        normals = self._bed.normals[0][self._rows]
-        way[self._rows] += np.sum(normals * (self._seen @ self._u), axis=1)
+        way[self._rows] += self._moved()
         self._bed.keep(way, new)
 
 

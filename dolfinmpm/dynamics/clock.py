@@ -40,6 +40,9 @@ Array = npt.NDArray[np.float64]
 # Steps of a run that nobody would wait for
 _MOST = 10**9
 
+# First step of a chosen length, as a share of the whole time
+_FIRST = 1e-3
+
 
 class Time(float):
     """A time to step to (s). With an open time the solver chooses the end of the step.
@@ -96,7 +99,10 @@ def times(
 
     `for t in mpm.times(0.6, dt=2.5e-4): problem.step(t)`. With `dt="auto"` the solver chooses the
     length of each step, and takes several fused explicit steps at once. Then `t` is the time at
-    the start of the step, and the loop ends when the end is reached.
+    the start of the step, and the loop ends when the end is reached. Implicit steps follow the
+    `error=` of their problem. The first one is a thousandth of the whole time, or shorter, and a
+    step is at most twice as long as the step before. For another first step, call `problem.step`
+    before the loop, and give its time as `start`.
 
     Args:
         end: The last time (s), at which the last step ends exactly; or all times to step to (s).
@@ -253,8 +259,8 @@ def end_of_step(t: float | None, now: float, wanted: float | None) -> float:
     Args:
         t: Argument of the user: a time, or a time of `times`.
         now: Time of the state (s).
-        wanted: Length allowed by the error of the last step (s); 0 before the first step. None if
-            the problem has no bound of the error.
+        wanted: Length allowed by the error of the last step (s). 0 before the first step, which is
+            a thousandth of the whole time. None if the problem has no bound of the error.
 
     Raises:
         ParameterError: t is not a time, or not later than now.
@@ -268,7 +274,7 @@ def end_of_step(t: float | None, now: float, wanted: float | None) -> float:
                 'with times(end, dt="auto") the error of a step chooses the length of the '
                 "next: give the problem error=1e-3, or times a dt in s"
             )
-        end = min(t.end, now + (wanted or math.inf))
+        end = min(t.end, now + (wanted or max(_FIRST * (t.end - now), math.ulp(now))))
     if not end > now:
         raise ParameterError(
             f"t = {end:g} s must be later than the time of the state, {now:g} s: a step goes to "

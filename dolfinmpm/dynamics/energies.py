@@ -143,7 +143,10 @@ def mapping_loss(old: Array, change: Array, new: Array, mass: Array, filtered: b
 
 
 def lateness_by_contact(
-    bodies: RigidBodies, contacts: Sequence[ActiveRigidContact], comm: MPI.Intracomm
+    bodies: RigidBodies,
+    contacts: Sequence[ActiveRigidContact],
+    comm: MPI.Intracomm,
+    stress_is_late: bool = False,
 ) -> tuple[float, float]:
     """Lateness of the velocities of points and of free bodies by contact (J). Collective.
 
@@ -151,9 +154,10 @@ def lateness_by_contact(
         bodies: The bodies, at their poses at the end of the step, before `commit`.
         contacts: The contacts, with the forces at the end of the step.
         comm: Communicator of the points.
+        stress_is_late: See `lateness`. Contact has the time of the positions all the same.
     """
     own = sum(float(np.sum(one.forces * (one.x - one.corners.x))) for one in contacts)
-    points = 0.5 * comm.allreduce(own, op=MPI.SUM)
+    points = (1.5 if stress_is_late else 0.5) * comm.allreduce(own, op=MPI.SUM)
     moved = 0.0
     for body in bodies.free:
         assert body.freedom is not None

@@ -72,7 +72,8 @@ class Explicit(MovingBody, Problem):
     are those in the middle of the last step, half a step before the positions, as all velocities
     that the points have then: the next step changes them by forces over half of both steps.
     Prescribed velocities are those in the middle of a step. `energies()` gives the kinetic energy
-    at the time of the positions.
+    at the time of the positions. Velocities at this time are, to second order,
+    `points["velocity"] + 0.5 * record.dt * points["acceleration"]` with the record of `step`.
 
     `step(t)` goes to the time t in as many steps as stability requires. In a loop over
     `times(end, dt="auto")` each call takes twenty fused steps, or one step that is not fused.
@@ -299,6 +300,10 @@ class Explicit(MovingBody, Problem):
         )
         # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
+        if self.terms.kind == "consistent":
+            # by a layer of cells at a face: functions of degree p move ρh/(p + 1)² there, and
+            # `rate` counts with that of linear functions
+            springs *= (0.5 * (field.space.basis.degree + 1)) ** 2
         boundaries = loop.boundary_stiffness() if isinstance(loop, GeneralSteps) else Stiffness()
         rate = (1.0 + boundaries.share) / found**2 + 0.25 * (springs + boundaries.rate)
         return self._by_viscosity(math.sqrt(mass_scaling / rate))

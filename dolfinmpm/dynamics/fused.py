@@ -344,7 +344,7 @@ class FusedSteps:
             if reason is not None:
                 return reason
         if rigid is not None:
-            rigid.press(out, usf)
+            rigid.press(out)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
             pushed, self._loads.gravity, dt, kick, step.begins, settings.mass_scaling,

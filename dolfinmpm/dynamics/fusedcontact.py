@@ -209,7 +209,9 @@ class RigidContacts:
         """
         self._bodies.begin(step.dt)
         self._dt, self._kick = step.dt, step.kick
-        self._strained = step.before if before else step.dt
+        # in "usf" the velocities that strain are those of the last motion
+        self._moving = 0 if before else COLUMNS[self._points.gdim].second
+        self._late = before
         self._active = [self._made(near, before) for near in self._near]
 
     def _made(self, near: NeighbourList, all_corners: bool = False) -> ActiveRigidContact:
@@ -218,19 +220,15 @@ class RigidContacts:
         return ActiveRigidContact(near.contact, self._displacement, 0, rows, near.distance)
 
     @stages.assemble
-    def press(self, out: Array, moved: bool) -> None:
+    def press(self, out: Array) -> None:
         """Add forces on the nodes at the start of the step, and push free bodies. Collective.
 
         Args:
             out: Sums at the window's nodes, summed over ranks.
-            moved: Whether corners have moved by the velocities that strain.
         """
         self._bodies.put(0.0)
         for active in self._active:
-            if moved:
-                active.compute(self._way(active))
-            else:
-                active.compute_at_start()
+            active.compute_at_start()
         d = self._points.gdim
         force = out[:, COLUMNS[d].force : COLUMNS[d].force + d]
         if self._exchange is None:
@@ -245,18 +243,17 @@ class RigidContacts:
         self._bodies.push(self._active, self._kick)
 
     def _way(self, active: ActiveRigidContact) -> Array:
-        """Displacements of corners in the step by the velocities that strain (m), shape (m, d)."""
-        d, stencils = self._points.gdim, active.corners.stencils
-        first = COLUMNS[d].second
+        """Displacements of corners in the step, as the points move (m), shape (m, d)."""
+        d, stencils, first = self._points.gdim, active.corners.stencils, self._moving
         velocities = self._window.nodes[stencils.nodes, first : first + d]
-        return stencils.of_nodes(self._strained * velocities)
+        return stencils.of_nodes(self._dt * velocities)
 
     @stages.assemble
     def follow(self) -> None:
         """Find the forces at the end of the step."""
         self._bodies.put(1.0)
         d = self._points.gdim
-        speed = fastest(self._window.rows(), self._window.nodes, COLUMNS[d].second, d)
+        speed = fastest(self._window.rows(), self._window.nodes, self._moving, d)
         # corners go on by their points' gradients, up to half a cell from these
         self._nodes_go = 2.0 * self._dt * speed
         for k, near in enumerate(self._near):
@@ -299,6 +296,8 @@ class RigidContacts:
         for near, active in zip(self._near, self._active):
             near.keep(active)
         if record:
-            self.late = lateness_by_contact(self._bodies, self._active, self._points.comm)
+            self.late = lateness_by_contact(
+                self._bodies, self._active, self._points.comm, self._late
+            )
         self.work += self._bodies.commit(self._active)
         return None

@@ -23,6 +23,7 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance
+from dolfinmpm.contact.springbed import ActiveSprings
 from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
@@ -143,7 +144,8 @@ class GeneralSteps(ExplicitBase):
             # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
         problem.bodies.put(1.0)
-        state = new_state(problem, operator, x=moved)
+        # in "usf" the strain is that of the last motion, and what touches goes on by this one
+        state = new_state(problem, operator, x=moved, moved=[dt * V_move])
         if isinstance(state, str):
             return state
         self._watch(operator, True)
@@ -198,8 +200,11 @@ class GeneralSteps(ExplicitBase):
         work.late = lateness(work.net - net, work.latest - late, work.grid - grid, stress_is_late)
         if bodies.contacts:
             acting, comm = bodies.acting(operator), self._problem.comm
-            more, work.late_bodies = lateness_by_contact(bodies, acting, comm)
+            more, work.late_bodies = lateness_by_contact(bodies, acting, comm, stress_is_late)
             work.late += more
+        for term in operator.others:
+            if isinstance(term, ActiveSprings):
+                work.late += (1.5 if stress_is_late else 0.5) * term.work_at_end()
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
         """Energy lost by the mapping in a step (J), see `Work`. Collective.
@@ -250,8 +255,8 @@ class GeneralSteps(ExplicitBase):
         if not self._by_stress:
             if state is None:
                 operator.move_to_zero()
-            forces.arrays[0][:] = -operator.forces(without=("boundary", "penalty"))[0]
-            return forces
+            forces.arrays[0][:] = -operator.forces(without=("boundary", "penalty", "contact"))[0]
+            return self._with_contact(forces, operator, mass)
         weight = points["V"]
         if state is not None:
             at = operator.points
@@ -262,8 +267,15 @@ class GeneralSteps(ExplicitBase):
         forces.arrays[0][:] *= -1.0
         forces.add_up()
         forces.arrays[0][:] -= operator.external[0]
+        return self._with_contact(forces, operator, mass)
+
+    def _with_contact(self, forces: Nodal, operator: Operator, mass: Mass) -> Nodal:
+        """Forces with those of contact at the start of the step. Collective.
+
+        Points that strain before the forces have moved in the step before.
+        """
         if operator.has("contact"):
-            operator.update_contact()
+            operator.update_contact(mass.nodal().arrays)
             forces.arrays[0][:] -= operator.forces_of("contact")[0]
         return forces
 

@@ -16,6 +16,9 @@ __all__ = ["belong", "elastic_strain"]
 
 Array = npt.NDArray[np.float64]
 
+# Largest error of a strain that is kept as a stretch, by rounding
+_ROUNDED = 1e-14
+
 
 @numba.njit(cache=True, error_model="numpy")
 def _invert(law, parameters, elastic, old, stress, strain, reached, good):
@@ -121,11 +124,14 @@ def belong(
         stress: Principal stresses of the law (Pa), shape (n, 3), in the order of the strains.
         internal: Internal variables, shape (n, variables).
         parameters: Parameters, shape (1, parameters) or (n, parameters).
-        share: Difference regarded as zero, as a share of the largest stress at the point.
+        share: Difference regarded as zero, as a share of the largest stress at the point. What the
+            rounding of a strain makes is regarded as zero, too.
     """
     slack = share * np.abs(stress).max(axis=1, initial=0.0)
     if law.has_moduli:
         M, G = law.moduli(strain, internal, parameters).T
+        # strains are rounded as differences from 1
+        slack = slack + _ROUNDED * M
         volume = strain.sum(axis=1)
         found = ((M - 2 * G) * volume)[:, None] + 2 * np.atleast_1d(G)[:, None] * strain
     else:

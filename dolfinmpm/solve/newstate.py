@@ -41,6 +41,7 @@ def new_state(
     x: Array | None = None,
     carried: Mapping[str, Array] | None = None,
     stays: bool = False,
+    moved: Sequence[Array] | None = None,
 ) -> NewState | str:
     """The new state for the present increments of the equations. Collective.
 
@@ -53,6 +54,8 @@ def new_state(
         carried: Values of fields that the form carries, if they do not follow from the present
             increments.
         stays: Whether points strain, but do not move.
+        moved: Increments at the nodes by which points move, if they are not the present increments.
+            Contacts and springs follow them. Shape (nodes, components) per field.
 
     Returns:
         The state, or the reason of a failure.
@@ -80,7 +83,9 @@ def new_state(
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
     if moves:
         bad = _move(operator, new, x)
-    operator.update_contact()
+    if moved is not None:
+        operator.set_increments_of("springs", moved)
+    operator.update_contact(moved)
     for term in operator.others:
         term.update(state)
     finite = all(np.isfinite(values).all() for values in new.values())

@@ -213,10 +213,14 @@ class Operator:
         for field, force in zip(self.here.unknowns.fields, out.arrays):
             force[field.nodes] = math.nan
 
-    def update_contact(self) -> None:
-        """Find the forces of contact at the present increments."""
+    def update_contact(self, u: Sequence[Array] | None = None) -> None:
+        """Find the forces of contact at the present increments, or at given ones.
+
+        Args:
+            u: Increments at all nodes of this rank, shape (nodes, components) per field, or None.
+        """
         for contact in self.contacts:
-            contact.touch(self._u.arrays, self._scale)
+            contact.touch(self._u.arrays if u is None else u, self._scale)
 
     def has(self, kind: str) -> bool:
         """Whether a term has this kind, see `ActiveTerm`."""

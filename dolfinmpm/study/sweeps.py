@@ -139,11 +139,13 @@ def convergence(
 def observed_orders(
     sizes: Sequence[float] | npt.NDArray, errors: Sequence[float | None] | npt.NDArray
 ) -> list[float]:
-    """Observed orders between successive refinements, ln(e_i/e_{i+1}) / ln(h_i/h_{i+1}).
+    """Observed orders between successive refinements, ln|e_i/e_{i+1}| / ln(h_i/h_{i+1}).
 
     Args:
         sizes: Sizes h of the cells.
-        errors: Errors at these sizes; None for a run that did not finish.
+        errors: Errors at these sizes; None for a run that did not finish. The sizes of errors with
+            a sign count. An error that changes its sign is small there by chance, and so is no
+            order.
 
     Returns:
         Orders, one fewer than sizes; NaN where an error is missing or both errors are zero.
@@ -160,19 +162,20 @@ def observed_orders(
             f"sizes = {shown(sizes)} has one twice in a row, which gives no order: leave one out"
         )
     with np.errstate(divide="ignore", invalid="ignore"):
-        return [float(order) for order in np.diff(np.log(e)) / np.diff(np.log(h))]
+        return [float(order) for order in np.diff(np.log(np.abs(e))) / np.diff(np.log(h))]
 
 
 def overall_order(
     sizes: Sequence[float] | npt.NDArray, errors: Sequence[float | None] | npt.NDArray
 ) -> float:
-    """Order that fits all refinements best: least-squares slope of ln e over ln h.
+    """Order that fits all refinements best: least-squares slope of ln |e| over ln h.
 
     If errors scatter, it is more reliable than the order between two sizes.
 
     Args:
         sizes: Sizes h of the cells (m).
-        errors: Errors at these sizes; None for a run that did not finish, which is left out.
+        errors: Errors at these sizes; None for a run that did not finish, which is left out. The
+            sizes of errors with a sign count. Errors of zero are left out.
 
     Returns:
         The order, or NaN if fewer than two errors are left.
@@ -185,10 +188,10 @@ def overall_order(
     2.0
     """
     h, e = _of_equal_lengths(sizes, errors)
-    known = np.isfinite(e) & (e > 0)
+    known = np.isfinite(e) & (e != 0)
     if np.unique(h[known]).size < 2:
         return math.nan
-    x, y = np.log(h[known]), np.log(e[known])
+    x, y = np.log(h[known]), np.log(np.abs(e[known]))
     x = x - x.mean()
     return float(x @ y / (x @ x))
 

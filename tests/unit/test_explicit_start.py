@@ -34,6 +34,8 @@ def test_a_throw_is_exact(scheme, fused):
         dt = problem.step(t).dt
         np.testing.assert_allclose((points["x"] - points["x0"])[:, 1], 0.4 * t - t**2, atol=1e-12)
         np.testing.assert_allclose(points["velocity"][:, 1], 0.4 - 2.0 * (t - 0.5 * dt), atol=1e-11)
+        now = points["velocity"] + 0.5 * dt * points["acceleration"]
+        np.testing.assert_allclose(now[:, 1], 0.4 - 2.0 * t, atol=1e-11)
     assert abs(problem.energies()["integrator"]) < 1e-3 * problem.energies().initial
 
 

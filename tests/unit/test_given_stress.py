@@ -108,6 +108,15 @@ def test_what_no_law_can_have_is_refused():
     problem_of(points, mpm.materials.NeoHookean(1e4, 0.3)).step()
 
 
+@pytest.mark.parametrize("strain", ["large", "jaumann"])
+def test_a_stress_near_zero_belongs_to_its_law(strain):
+    """Such as in the tail of a pulse: its strain is rounded as a difference from 1."""
+    points = body()
+    size = np.logspace(-25, 0, len(points))
+    mpm.set_stress(LAW, points, size[:, None, None] * SIGMA, strain=strain)
+    problem_of(points, strain=strain).step()
+
+
 @pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Newmark, mpm.Explicit])
 def test_another_law_than_the_problem_s_is_named(kind):
     points = body()

@@ -67,6 +67,19 @@ def test_steps_that_are_as_long_as_their_error_allows():
     assert typical[0] > 2 * typical[1] > 0.01
 
 
+def test_a_run_of_chosen_steps_begins_with_a_short_one():
+    """Its first step had been the whole run, in one record, and had failed in a long run."""
+    problem = vibrating_bar(error=1e-3, stabilisation="ghost")
+    for t in mpm.times(300.0, dt="auto"):
+        problem.step(t)
+        if problem.time > 2.0:
+            break
+    lengths = np.diff([0.0, *(record.time for record in problem.history)])
+    assert lengths[0] == pytest.approx(0.3, rel=1e-12)
+    assert len(lengths) > 5
+    assert np.max(lengths[1:] / lengths[:-1]) < 2.0 + 1e-9
+
+
 @pytest.mark.parametrize("bare", [float, np.float64, lambda t: t + 0.0])
 def test_the_bare_number_of_a_chosen_time_is_enough(bare):
     """It goes where the time of the loop itself goes, also within another loop at that time."""

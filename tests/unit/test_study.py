@@ -55,6 +55,13 @@ def test_runs_that_did_not_finish_have_no_order():
     assert np.isnan(study.observed_orders([1, 0.5], [0.0, 0.0])).all()
 
 
+def test_errors_with_a_sign_have_orders():
+    h = np.array([0.4, 0.2, 0.1])
+    for errors in (-3 * h**2, 3 * h**2 * [1, -1, 1]):
+        assert study.observed_orders(h, errors) == pytest.approx([2, 2])
+        assert study.overall_order(h, errors) == pytest.approx(2)
+
+
 def test_overall_order():
     h = np.array([1.0, 0.5, 0.2, 0.1])
     assert study.overall_order(h, 3 * h**2) == pytest.approx(2)
