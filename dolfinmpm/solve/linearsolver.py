@@ -309,13 +309,11 @@ class LinearSolver:
         self.true.mult(a, b)
         return np.array(b.getArray(readonly=True))
 
-    def again(
-        self, right: Array, guess: Array | None = None, digits: float = krylov.DIGITS
-    ) -> Array:
+    def again(self, right: Array, digits: float = krylov.DIGITS) -> Array:
         """Solve once more with the last tangent and preconditioner, which stay. Collective.
 
         Args:
-            right, guess: See `solve`.
+            right: See `solve`.
             digits: Residual that may remain, relative to the right-hand side.
         """
         A, b, y = self.true, self.vector(), self.vector()
@@ -330,18 +328,22 @@ class LinearSolver:
             rest.axpy(-1.0, b)
             if rest.norm() <= digits * b.norm():
                 return np.array(y.getArray(readonly=True))
-        elif guess is not None:
-            y.getArray()[:] = guess
         if self._ksp.getType() == "preonly":
             return self.solve(right, y.getArray(readonly=True))
         self._iterate(b, y, digits)
         return np.array(y.getArray(readonly=True))
 
     def _iterate(self, b: PETSc.Vec, y: PETSc.Vec, digits: float) -> None:
-        """Iterate from y, with the last preconditioner; settings and counts stay. Collective."""
+        """Iterate with the last preconditioner; settings and counts stay. Collective.
+
+        Args:
+            b: Right-hand side.
+            y: Output; with complete factors also the first guess.
+            digits: See `again`.
+        """
         ksp, kept = self._ksp, self._ksp.getTolerances()
         ksp.setTolerances(rtol=digits, atol=1e-300, max_it=MOST_AGAIN)
-        ksp.setInitialGuessNonzero(True)
+        ksp.setInitialGuessNonzero(self.direct)
         if self.reuse is not None:
             self.reuse.rests = True
         ksp.solve(b, y)

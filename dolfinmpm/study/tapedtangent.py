@@ -7,7 +7,9 @@ runs follow, the tangent at the solution is assembled for them, in a matrix of i
 run that follows assembles it where Newton's method has gone on to another solution in the step.
 
 Iterations begin in the span of known solutions: the increments of the run, and the changes by which
-other runs follow it, in this step and in the last one.
+other runs follow it, in this step and in the last one. Only what these leave is solved for, so that
+a change by one parameter that is a combination of others, such as stiffness and weight, takes their
+digits along.
 """
 
 from __future__ import annotations
@@ -61,14 +63,24 @@ class SpareSolver:
     unknowns: Unknowns | None = None
 
     def take_changes(self, unknowns: Unknowns) -> list[Array]:
-        """The changes in the last step; a new list begins. Nothing if the unknowns are others.
+        """The changes in the last step, zero at other nodes; a new list begins. Collective.
 
         Args:
             unknowns: Numbering of the unknowns of this step.
         """
-        last, self.changes = self.changes if self.unknowns is unknowns else [], []
-        self.unknowns = unknowns
-        return last
+        last, former = self.changes, self.unknowns
+        self.changes, self.unknowns = [], unknowns
+        if former is None or former is unknowns:
+            return last
+        pairs = list(zip(former.fields, unknowns.fields))
+        if any(one.numbering is not other.numbering for one, other in pairs):
+            return []
+        nodal, still = unknowns.nodal(), unknowns.nodal().arrays
+        found = []
+        for change in last:
+            former.expand(change, still, nodal)
+            found.append(unknowns.restrict(nodal.arrays))
+        return found
 
 
 class TapedTangent:
@@ -84,6 +96,7 @@ class TapedTangent:
 
     Attributes:
         exact: Whether it is the tangent at the solution.
+        last: Unknowns at which the forces of a run that follows were found last, or None.
         corrections: Pair of runs → number of corrections of its first run, and whether they were
             enough.
 
@@ -100,6 +113,8 @@ class TapedTangent:
         self._complete, self._comm = readers >= factors_pay, linear.comm
         self._solutions = [x, *spare.take_changes(operator.here.unknowns)]
         self._products: list[Array] = []
+        self._known = len(self._solutions)
+        self.last: Array | None = None
         self.corrections: dict[object, tuple[int, bool]] = {}
         method = linear.method
         few = method is not None and readers < (factors_pay if method.incomplete else _MANY)
@@ -160,7 +175,11 @@ class TapedTangent:
             return self._solve_here(operator, right, digits) if linear.stuck else found
         if self._solutions and not self._products:
             self._products = [linear.product(x) for x in self._solutions]
-        found = linear.again(right, self._guess(right), digits)
+        guess, rest = self._guess(right)
+        norm, enough = self.norm(rest), digits * self.norm(right)
+        if norm <= enough:
+            return guess
+        found = guess + linear.again(rest, digits=enough / norm)
         return self._solve_here(operator, right, digits) if linear.stuck else found
 
     def _learn(self, found: Array, right: Array) -> None:
@@ -174,18 +193,27 @@ class TapedTangent:
             self._solutions.append(found)
             self._products.append(right)
 
-    def _guess(self, right: Array) -> Array:
-        """Combination of the known solutions that leaves the smallest residual. Collective.
+    def _guess(self, right: Array) -> tuple[Array, Array]:
+        """Combination of known solutions that leaves a small residual, and it. Collective.
 
-        See Fischer (1998, doi 10.1016/S0045-7825(98)00012-7) on successive right-hand sides.
+        See Fischer (1998, doi 10.1016/S0045-7825(98)00012-7) on successive right-hand sides. The
+        solutions of this step come first, and then those with products of the tangent. In one
+        combination, the error of a lent tangent would count many times where two are nearly equal.
         """
-        P = np.column_stack(self._products)
-        sums = self._comm.allreduce(np.column_stack([P.T @ P, P.T @ right]), op=MPI.SUM)
-        size = np.sqrt(np.diag(sums))
-        size[size == 0.0] = 1.0
-        square = sums[:, :-1] / np.outer(size, size)
-        weights = np.linalg.lstsq(square, sums[:, -1] / size, rcond=1e-12)[0] / size
-        return np.column_stack(self._solutions) @ self._comm.bcast(weights)
+        guess, rest = np.zeros_like(right), right
+        for part in (slice(self._known, None), slice(self._known)):
+            if not self._solutions[part]:
+                continue
+            P = np.column_stack(self._products[part])
+            sums = self._comm.allreduce(np.column_stack([P.T @ P, P.T @ rest]), op=MPI.SUM)
+            size = np.sqrt(np.diag(sums))
+            size[size == 0.0] = 1.0
+            square = sums[:, :-1] / np.outer(size, size)
+            weights = np.linalg.lstsq(square, sums[:, -1] / size, rcond=1e-12)[0] / size
+            weights = self._comm.bcast(weights)
+            guess += np.column_stack(self._solutions[part]) @ weights
+            rest = rest - P @ weights
+        return guess, rest
 
     def follow(
         self, operator: Operator, x: Array, kept: Array, pair: object = None, even: float = 0.0
@@ -203,7 +231,7 @@ class TapedTangent:
         Returns:
             The unknowns, and whether little enough remains.
         """
-        residual = operator.residual(x)
+        self.last, residual = x, operator.residual(x)
         rest, least = residual.values - kept, ROUNDING * residual.reference
         if self.norm(rest) <= least:
             return x, True
@@ -238,7 +266,7 @@ class TapedTangent:
         x, former = x - self._solve(operator, rest, _FIRST), first
         bound = max(DIGITS * first, least)
         for _ in range(3):
-            rest = operator.residual(x).values - kept
+            rest = self._unbalanced(operator, x, kept)
             norm = self.norm(rest)
             if norm <= bound:
                 return x, True
@@ -251,7 +279,7 @@ class TapedTangent:
             if share * norm <= DIGITS * first:
                 return x, True
         else:
-            rest = operator.residual(x).values - kept
+            rest = self._unbalanced(operator, x, kept)
             norm = self.norm(rest)
             if norm <= bound:
                 return x, True
@@ -280,7 +308,7 @@ class TapedTangent:
         former, bound, least = sizes
         count, converged = 0, True
         while True:
-            rest = operator.residual(x).values - kept
+            rest = self._unbalanced(operator, x, kept)
             norm = self.norm(rest)
             if norm <= bound:
                 break
@@ -312,8 +340,14 @@ class TapedTangent:
             converged: Whether little enough remained.
         """
         for _ in range(count):
-            x = x - self._solve(operator, operator.residual(x).values - kept, 0.1 * DIGITS)
+            rest = self._unbalanced(operator, x, kept)
+            x = x - self._solve(operator, rest, 0.1 * DIGITS)
         return x, converged
+
+    def _unbalanced(self, operator: Operator, x: Array, kept: Array) -> Array:
+        """Out-of-balance force at some unknowns without that of the solution (N). Collective."""
+        self.last = x
+        return operator.residual(x).values - kept
 
     def norm(self, values: Array) -> float:
         """Norm of the owned values of all ranks, shape (owned,). Collective."""
