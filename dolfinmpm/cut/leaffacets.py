@@ -79,7 +79,7 @@ def ghost_facets_of_leaves(
 
     Args:
         active: Mask of the active cells of the basis.
-        empty: Mask of those without points, which are boundary cells wherever they lie.
+        empty: Mask of those that are boundary cells wherever they lie.
         basis: The basis on leaves.
 
     Returns:
