@@ -71,3 +71,25 @@ def test_a_condition_without_the_pressure_is_refused():
 def test_a_pressure_that_cannot_act_is_refused(given):
     with pytest.raises(mpm.errors.ParameterError, match="pore_pressure"):
         column("boundary", **given)
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_an_undrained_block_within_cells_has_one_pressure(basis):
+    """Skempton's pressure in plane strain: p/S = 1/(1 + (λ + G) n/K_w), the same at all points."""
+    E, nu, n, bulk, load = 1e7, 0.25, 0.4, 1e7, 10.0
+    lines = 0.25 * (np.arange(-1, 7) + 0.3)
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [lines, lines])
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 2e3, exact=True)
+    V = mpm.Space(points.grid, basis)
+    Q = mpm.Space(points.grid, "gimp" if basis == "gimp" else "linear", shape=())
+    u, v, p, soil = V.increment, V.test, Q.increment, mpm.materials.Hencky(E, nu)
+    water = {"porosity": n, "permeability": 1e-9, "fluid": mpm.Fluid(bulk_modulus=bulk)}
+    F = mpm.poromechanics(soil, points, (u, p), (v, Q.test), **water)
+    loaded = mpm.Boundary.from_polygon(points, [(1, 0), (1, 1), (0, 1)], closed=False)
+    F += loaded.pressure(load, u, v)
+    held = mpm.Boundary.from_polygon(points, [(0, 1), (0, 0), (1, 0)], closed=False)
+    F += mpm.dirichlet(held, u, v, 0.0, law=soil, direction="normal", pore_pressure=p)
+    mpm.Transient(F, [u, p], points, [], stabilisation=["ghost", "ghost"]).step(1.0)
+    stiffness = 0.5 * E / (1 + nu) / (1 - 2 * nu)
+    expected = load / (1 + stiffness * n / bulk)
+    np.testing.assert_allclose(points["pressure"], expected, rtol=1e-6)
