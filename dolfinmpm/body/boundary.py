@@ -19,7 +19,7 @@ from dolfinmpm._platform.errors import (
     call_together,
 )
 from dolfinmpm.basis import Placement
-from dolfinmpm.body.axisymmetry import gradient, in_section
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.markergeometry import (
@@ -35,7 +35,7 @@ from dolfinmpm.body.markergeometry import (
     triangles_of,
 )
 from dolfinmpm.body.points import MaterialPoints, PointField
-from dolfinmpm.body.surfaceloads import pressure_of, vector_of
+from dolfinmpm.body.surfaceloads import area_at_end, pressure_of, vector_of
 from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.serialnumbers import next_number
 from dolfinmpm.grid.sides import side_of
@@ -371,9 +371,7 @@ class Boundary:
         """
         check_displacement(self.points, u=u, v=v)
         p = pressure_of(self.points, p)
-        dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
-        back = in_section(self.markers, ufl.inv(dF))
-        work = p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
+        work = p * ufl.dot(area_at_end(self.markers, self.normal, u), v)
         return signed_form(work, self.ds, f"the pressure on '{self.name}'")
 
     @collective

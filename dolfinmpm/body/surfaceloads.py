@@ -12,10 +12,11 @@ from ufl.domain import extract_domains
 
 from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 
-__all__ = ["pressure_of", "vector_of"]
+__all__ = ["area_at_end", "own_grid", "pressure_of", "vector_of"]
 
 
 def vector_of(points: MaterialPoints, what: str, given: Any) -> Expr:
@@ -78,3 +79,15 @@ def own_grid(points: MaterialPoints, what: str, given: Expr) -> None:
             f"{what} '{str(given)[:100]}' lives on another grid than the points: make it on "
             "points.grid, as in dolfinx.fem.Constant(points.grid, ...)"
         )
+
+
+def area_at_end(points: MaterialPoints, normal: Expr, u: Expr) -> Expr:
+    """Area vector at the end of a step per area at its start, ΔJ ΔF⁻ᵀ n, by Nanson's formula.
+
+    Args:
+        points: Markers of the boundary.
+        normal: Unit normal n at the start of the step.
+        u: Increment of the displacement (m).
+    """
+    dF = ufl.Identity(points.strain_dim) + gradient(points, u)
+    return ufl.det(dF) * ufl.dot(normal, in_section(points, ufl.inv(dF)))

@@ -316,7 +316,7 @@ class _Builder:
         grid, moving = self._points.grid, self._terms.moving
         for draft in self._once:
             both = draft.full_stencils, draft.of_points
-            draft.entities = entities(grid, moving, *both, draft.basis)
+            draft.entities = entities(grid, moving, self._where, *both, draft.basis)
         active = [self._active(k, mask, roots.get(k)) for k, mask in enumerate(fixed)]
         if self.boundaries:
             number = len(self._bodies.x)

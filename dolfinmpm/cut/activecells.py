@@ -12,8 +12,9 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.compat import ghosted_partitioner
 from dolfinmpm._platform.errors import UnsupportedGridError
-from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Stencils
+from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
+from dolfinmpm.cut.fractions import fill_fractions
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 from dolfinmpm.grid.leafsearch import node_at
@@ -24,6 +25,12 @@ if TYPE_CHECKING:
 __all__ = ["GhostFacets", "active_cells", "active_nodes", "active_on_grid", "entities"]
 
 GhostRows = npt.NDArray[np.int32]
+Mask = npt.NDArray[np.bool_]
+
+# A cell at the edge of the grid with less of the body is a boundary cell
+_ILL_FILLED = 0.5
+# Lines and corners of cells agree to this share of the grid's length
+_ROUNDING = 1e-9
 
 
 def _flags(indices: npt.NDArray[np.int32], numbering: Numbering) -> npt.NDArray[np.bool_]:
@@ -97,7 +104,8 @@ class GhostFacets:
     """Interior facets between active cells of which at least one borders on an inactive cell.
 
     This is the definition of Coombs (2023, doi 10.1002/nme.7332). The outer edge of the grid makes
-    no cell a boundary cell. A cell that only markers reach is one.
+    no cell a boundary cell, unless the body fills less than half of it, see `_ill_at_edges`. A cell
+    that only markers reach is one.
 
     Args:
         grid: Background grid.
@@ -134,6 +142,13 @@ class GhostFacets:
         per_cell = int(of_cells.offsets[1]) if of_cells.num_nodes else 1
         self._cell_facets = of_cells.array.reshape(-1, per_cell)
 
+    def outer(self) -> npt.NDArray[np.bool_]:
+        """Mask of the local cells with a facet on the outer edge of the grid. Collective."""
+        beside = np.any(self._facet_cells[self._cell_facets, 1] < 0, axis=1)
+        # ghost cells lack neighbours on other ranks
+        beside[self._cells.owned :] = False
+        return self._cells.share_flags(beside)
+
     def select(
         self, active: npt.NDArray[np.bool_], empty: npt.NDArray[np.bool_]
     ) -> npt.NDArray[np.int32]:
@@ -141,7 +156,7 @@ class GhostFacets:
 
         Args:
             active: Mask of the active local cells of DOLFINx's mesh.
-            empty: Mask of those without points, which are boundary cells wherever they lie.
+            empty: Mask of those that are boundary cells wherever they lie.
         """
         cells = self._cells
         boundary = empty.copy()
@@ -249,7 +264,7 @@ def _ghost_facets_of_leaves(
 
     Args:
         active: Mask of the active cells of the basis.
-        empty: Mask of those without points, which are boundary cells wherever they lie.
+        empty: Mask of those that are boundary cells wherever they lie.
         basis: The basis on leaves.
 
     Returns:
@@ -271,8 +286,29 @@ def ghost_facets(grid: Mesh) -> GhostFacets:
     return GhostFacets(grid)
 
 
+def _ill_at_edges(
+    where: Placement, seen: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis, active: Mask
+) -> Mask:
+    """Mask of the active cells at the outer edge of the grid that are filled by less than a half.
+
+    All neighbours of such a cell may be active, and no node beyond it would be held by a penalty.
+    Collective.
+    """
+    if isinstance(basis, LinearBasis):
+        outer = ghost_facets(basis.grid).outer()
+    else:
+        outer = np.zeros(active.size, bool)
+        low, high = basis.cell_corners()
+        for d, line in enumerate(basis.lattice.lines):
+            close = _ROUNDING * (line[-1] - line[0])
+            outer |= (low[:, d] - line[0] <= close) | (line[-1] - high[:, d] <= close)
+    outer &= active
+    filled = fill_fractions(where, seen, basis, outer)
+    return outer & (filled < _ILL_FILLED)
+
+
 def entities(
-    grid: Mesh, moving: set[int], seen: Stencils, of_points: Stencils,
+    grid: Mesh, moving: set[int], where: Placement, seen: Stencils, of_points: Stencils,
     basis: LatticeBasis | LinearBasis | LeafBasis,
 ) -> dict[int, npt.NDArray[np.int32]]:  # fmt: skip
     """Ghost facets and active cells of a field for integrals, by subdomain id. Collective.
@@ -280,6 +316,7 @@ def entities(
     Args:
         grid: The grid.
         moving: Subdomain ids that occur in the terms.
+        where: Points and markers.
         seen: Stencils of points and markers on all active nodes.
         of_points: The same of the points alone.
         basis: The basis of the field.
@@ -289,6 +326,8 @@ def entities(
         return found
     cells = active_cells(seen, basis.cells)
     empty = cells & ~active_cells(of_points, basis.cells)
+    if GHOST_FACETS in moving:
+        empty |= _ill_at_edges(where, seen, basis, cells)
     if isinstance(basis, LeafBasis):
         own = np.flatnonzero(cells[: basis.cells.owned]).astype(np.int32)
         return {GHOST_FACETS: _ghost_facets_of_leaves(cells, empty, basis), ACTIVE_CELLS: own}

@@ -136,7 +136,10 @@ def cell_sums(
 
 
 def fill_fractions(
-    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis
+    where: Placement,
+    stencils: Stencils,
+    basis: LatticeBasis | LinearBasis | LeafBasis,
+    wanted: npt.NDArray[np.bool_] | None = None,
 ) -> Array:
     """Share of each local cell's volume that material points fill, shape (cells,). Collective.
 
@@ -144,11 +147,12 @@ def fill_fractions(
         where: Positions, half-lengths and volumes of the points.
         stencils: Their stencils.
         basis: The basis of the stencils.
+        wanted: Mask of the cells whose shares are needed, see `cell_sums`.
     """
     low, high = _boxes(basis)
     boxes = not isinstance(basis, LinearBasis)
     volumes = np.prod(high - low, axis=1) if boxes else cell_volumes(basis.grid)
-    return cell_sums(where, stencils, basis, where.volume) / volumes
+    return cell_sums(where, stencils, basis, where.volume, wanted) / volumes
 
 
 def _add_up(shared: Vector, nodes: Numbering) -> None:

@@ -12,7 +12,7 @@ import ufl
 from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import Tags, shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_displacement, check_points
@@ -51,6 +51,8 @@ class CarriedField(PointField):
         slope_of: Name of the carried field whose gradient it is, or None. Where it is still zero,
             the values of this field give it before the first step.
         unknown: Name of a field that becomes 0 where `slope_of` gave the gradient, or None.
+        pores: Tags of the points whose total stress contains this pressure, None for all; False
+            for other fields.
         revision: Revision of the points when zero gradients were last looked for.
     """
 
@@ -62,6 +64,7 @@ class CarriedField(PointField):
     surface: Any = None
     slope_of: str | None = None
     unknown: str | None = None
+    pores: Tags | bool = False
     revision: int = -1
 
 

@@ -14,6 +14,9 @@ method needs a penalty k above the constant of ∫ |t_e(v)|² da ≤ k a(v, v).
 `dolfinmpm.assembly.nitschepenalty` computes this constant from the cells with their stabilisation
 against small cuts, and k is twice the constant. The penalty method has only the last term.
 
+Of soil and water, t(u) is the traction of both: that of the effective stress less p n at the end of
+the step. Without the pressure, the penalty would carry the water, with a gap p/k.
+
 With F-bar, a(v, v) lacks the volume changes that differ between the points of a cell, and t_e has
 them. Where such a body yields, nothing bounds the constant: k is then at least 20 M/h.
 
@@ -43,7 +46,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
-from dolfinmpm.body.surfaceloads import own_grid
+from dolfinmpm.body.surfaceloads import area_at_end, own_grid, pressure_of
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import begin_at_zero, first_step_share, mark_moving, own_constant
 from dolfinmpm.kinematics.lawterms import flux
@@ -79,6 +82,7 @@ class WeakCondition:
             for boundaries of a body, which always have the body in front.
         updates: Fields that a step sets, by name: gap, reached displacement and force.
         direction: Constrained components, the argument `direction` of `dirichlet`.
+        wet: Whether the traction contains a pore pressure.
     """
 
     boundary: Boundary
@@ -91,6 +95,7 @@ class WeakCondition:
     on: str | None
     updates: dict[str, Expr]
     direction: Any = None
+    wet: bool = False
     pushes = False
 
     @property
@@ -165,6 +170,7 @@ def dirichlet(
     tag: int | tuple[int, ...] | None = None,
     penalty: float | None = None,
     stiffness_per_area: float | None = None,
+    pore_pressure: Any = None,
 ) -> ufl.Form:
     """Prescribed displacement on a boundary that does not fit the grid: terms to add to a form.
 
@@ -192,10 +198,13 @@ def dirichlet(
             1000. Explicit steps are short with it: give some 10 there. `mpm.stiffness_per_area`
             returns k.
         stiffness_per_area: k itself (Pa/m), instead of `penalty`.
+        pore_pressure: Pore pressure of a body of soil and water, the unknown p of `poromechanics`
+            (Pa, for UFL). The traction is then that of soil and water. A penalty alone needs none.
 
     Raises:
         ParameterError: An argument is not valid; `penalty` and `stiffness_per_area` are both
             given; or the law is missing.
+        FormError: A problem raises it if the body has a pore pressure and Nitsche's method has not.
 
     The left face lies within cells, and moves by one centimetre:
 
@@ -220,6 +229,8 @@ def dirichlet(
     if law is not None:
         P, declaration = flux(law, markers, u, strain, tag)
         traction = ufl.dot(P, boundary.normal)
+        if pore_pressure is not None:
+            traction -= _of_water(boundary, pore_pressure, u, method, strain)
     elif method != "penalty" or stiffness_per_area is None:
         raise ParameterError(
             'law = None goes only with method="penalty" and a stiffness_per_area (Pa/m); give the '
@@ -254,12 +265,25 @@ def dirichlet(
     condition = WeakCondition(
         boundary, declaration, method, penalty, stiffness_per_area, k.name, moduli, on,
         {gap.name: along, reached.name: wanted, total.name: force * markers.V}, direction,
+        pore_pressure is not None,
     )  # fmt: skip
     if condition.local:
         markers.add_field(TRACE, (), "Pa/m")
         for name in (f"{TRACE}_x", f"{TRACE}_cell"):
             markers.add_field(name, (d,), "m")
     return condition_form(condition, term, "the condition (mpm.dirichlet)")
+
+
+def _of_water(boundary: Boundary, p: Any, u: Expr, method: str, strain: str) -> Expr:
+    """Pressure of the water on the boundary at the end of the step, per area at its start (Pa)."""
+    if method == "penalty" or not isinstance(p, Expr):
+        raise ParameterError(
+            f"pore_pressure = {shown(p)} must be the pressure of the problem, Space.increment of "
+            'its space, and goes with method="nitsche" or "skew": a penalty alone needs no pressure'
+        )
+    p = pressure_of(boundary.points, p)
+    n = boundary.normal
+    return p * (n if strain == "small" else area_at_end(boundary.markers, n, u))
 
 
 def condition_form(condition: Any, term: Expr, what: str) -> ufl.Form:

@@ -53,11 +53,21 @@ class WallTractions:
         end = self.k * ufl.conditional(ufl.ge(last, 0.0), last, 0.0)
         return last, end, self.k * _mean(first, last)
 
-    def _returned(self, trial: Expr, p: Expr) -> tuple[Any, Any]:
-        """The shear traction under a pressure (Pa), and whether the marker slips."""
+    def _returned(self, trial: Expr, p: Expr, just: Any = None) -> tuple[Any, Any]:
+        """The shear traction under a pressure (Pa), and whether the marker slips.
+
+        Args:
+            trial: Shear traction of a marker that sticks (Pa).
+            p: Pressure (Pa).
+            just: Where a marker without pressure touches. It sticks until it moves, for otherwise
+                nothing but friction would hold a body that is about to be pressed on.
+        """
         least = self.stick * self.still
         size, bound = ufl.sqrt(ufl.dot(trial, trial) + least**2), self.friction * p
         slips = ufl.gt(size, bound)
+        if just is not None:
+            rests = ufl.And(ufl.eq(ufl.dot(trial, trial), 0.0), just)
+            slips = ufl.And(slips, ufl.Not(rests))
         # the traction is continuous at the bound, so that Newton's method takes either branch
         held = self.on * ufl.conditional(slips, bound / size, 1.0) * trial
         return held, self.on * ufl.conditional(slips, 1.0, 0.0)
@@ -73,12 +83,12 @@ class WallTractions:
         Args:
             u: Increment of the whole step (m).
         """
-        _, p_end, p_mean = self._pressures(u)
+        last, p_end, p_mean = self._pressures(u)
         mean, end = -p_mean * self.normal, -p_end * self.normal
         if self.friction is not None:
             trial_mean, trial_end = self._trials(u)
             mean += self._returned(trial_mean, p_mean)[0]
-            end += self._returned(trial_end, p_end)[0]
+            end += self._returned(trial_end, p_end, ufl.ge(last, 0.0))[0]
         return self._chosen(mean, end)
 
     def in_balance(self, u: Expr) -> Any:

@@ -193,6 +193,7 @@ def poromechanics(
     b = gravity_of(gravity, points)
     M = modulus_of(modulus, soil, points)
     pressure = carried(points, "pressure", p, unit="Pa")
+    pressure.pores = as_tags(tag)
     pores = carried(points, "porosity", n_end, unit="", first=first_porosity(porosity))
     pores.bounds = 0.0, 1.0
     keeps: list[CarriedField] = [pores]

@@ -53,11 +53,11 @@ from dolfinmpm.solve.arguments import (
     increments_of,
     stabilisations_of,
 )
+from dolfinmpm.solve.boundarychecks import check_boundary_conditions
 from dolfinmpm.solve.description import summary
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import (
-    check_boundary_conditions,
     check_field_tags,
     check_kinds_of_conditions,
     check_times,
@@ -144,11 +144,12 @@ class Problem(Uncopied, ReadOnce):
         check_fields(form, spaces)
         check_field_tags(self.fields, self.form)
         setup.refuse_held_faces(form, self.form)
-        check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
+        parts = self.form.parts
+        check_boundary_conditions(self.form.boundaries, parts.declarations, parts.carried)
         rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
         self.bodies = RigidBodies(rigid)
         self.bodies.check_steps(scheme.in_time, type(self).__name__)
-        check_kinds_of_conditions(bcs, spaces, self.form.parts.carried)
+        check_kinds_of_conditions(bcs, spaces, parts.carried)
         if not scheme.inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         self._locate_markers()
