@@ -26,9 +26,9 @@ from dolfinmpm.solve.agreement import of_step
 WITHOUT_BARRIER = {
     "MaterialPoints.add_field", "MaterialPoints.migrate", "MaterialPoints.recount",
     "Mapping.add_fields", "Mapping.to_grid", "Mapping.to_points", "Stabilisation.measure",
-    "Stabilisation.constraint_matrix", "Space.cell_size", "Space.cell_edges", "sweep", "convergence",
-    "factor_of_safety", "differentiate", "calibrate", "reliability", "monte_carlo",
-    "LimitState.gradient", "Reliability.check",
+    "Stabilisation.constraint_matrix", "Space.cell_size", "Space.cell_edges", "sweep",
+    "convergence", "factor_of_safety", "differentiate", "calibrate", "reliability",
+    "monte_carlo", "LimitState.gradient", "Reliability.check",
 }  # fmt: skip
 
 
