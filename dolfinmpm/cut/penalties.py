@@ -9,6 +9,7 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
@@ -16,6 +17,7 @@ from ufl.domain import extract_unique_domain
 from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import LARGEST_MODULUS, LARGEST_PENALTY
+from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.formarguments import (
     check_displacement,
@@ -92,12 +94,14 @@ def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
     return derivative
 
 
-def _height(size: fem.Constant | fem.Function, edges: fem.Function | None) -> Expr:
+def _height(grid: Mesh, space: Space | None) -> Expr:
     """Height of the cells at a facet, normal to it (m); of the lower one of two.
 
     A penalty with the height extends a function over the cut cell as the law would do. The size of
     a long cell is another length, and a mean of two heights is too large for a thin cell.
     """
+    size = cell_size(grid) if space is None else space.cell_size
+    edges = cell_edges(grid) if space is None else space.cell_edges
     if edges is None:
         return ufl.avg(size) if isinstance(size, fem.Function) else size
     n = ufl.FacetNormal(ufl.domain.extract_unique_domain(edges))("+")
@@ -188,8 +192,7 @@ def ghost(
         gamma = _scalar("factor", factor, points) / 30
     # h always before γ: FFCx identifies forms by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
-    size = cell_size(points.grid) if space is None else space.cell_size
-    edges = cell_edges(points.grid) if space is None else space.cell_edges
+    h = _height(points.grid, space)
     if of_law:
         check_displacement(points, u=u, v=v)
     parts: list[Any] = [FacetModulus(points, u, target, scaling)("+")] if of_law else []
@@ -200,7 +203,6 @@ def ghost(
     weight: Expr = functools.reduce(operator.mul, parts)
     smooth, degree = (0, 1) if space is None else (space.basis.continuity, space.basis.degree)
     order = degree if order is None else whole("order", order, 1)
-    h = _height(size, edges)
     if scaling != "literal":
         weight = weight / h**2
 

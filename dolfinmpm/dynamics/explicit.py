@@ -301,8 +301,7 @@ class Explicit(MovingBody, Problem):
         # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
         if self.terms.kind == "consistent":
-            # by a layer of cells at a face: functions of degree p move ρh/(p + 1)² there, and
-            # `rate` counts with that of linear functions
+            # functions of degree p move ρh/(p + 1)² at a face; `rate` counts with linear ones
             springs *= (0.5 * (field.space.basis.degree + 1)) ** 2
         boundaries = loop.boundary_stiffness() if isinstance(loop, GeneralSteps) else Stiffness()
         rate = (1.0 + boundaries.share) / found**2 + 0.25 * (springs + boundaries.rate)

@@ -209,8 +209,6 @@ class RigidContacts:
         """
         self._bodies.begin(step.dt)
         self._dt, self._kick = step.dt, step.kick
-        # in "usf" the velocities that strain are those of the last motion
-        self._moving = 0 if before else COLUMNS[self._points.gdim].second
         self._late = before
         self._active = [self._made(near, before) for near in self._near]
 
@@ -241,6 +239,11 @@ class RigidContacts:
             self._exchange.add_up(self._sums)
             force += self._sums
         self._bodies.push(self._active, self._kick)
+
+    @property
+    def _moving(self) -> int:
+        """Column of the velocities that move: in "usf" others strain, those of the last motion."""
+        return 0 if self._late else COLUMNS[self._points.gdim].second
 
     def _way(self, active: ActiveRigidContact) -> Array:
         """Displacements of corners in the step, as the points move (m), shape (m, d)."""

@@ -144,7 +144,6 @@ class GeneralSteps(ExplicitBase):
             # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
         problem.bodies.put(1.0)
-        # in "usf" the strain is that of the last motion, and what touches goes on by this one
         state = new_state(problem, operator, x=moved, moved=[dt * V_move])
         if isinstance(state, str):
             return state

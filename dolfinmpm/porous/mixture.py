@@ -190,8 +190,7 @@ def poromechanics(
     weight, water = (own_constant(points.grid, a) for a in (fluid.unit_weight, fluid.density))
     K = permeability_of(permeability, at.J, n, points) / weight
     K0 = permeability_of(permeability, 1.0, n0, points) / weight
-    b = gravity_of(gravity, points)
-    M = modulus_of(modulus, soil, points)
+    b, M = gravity_of(gravity, points), modulus_of(modulus, soil, points)
     pressure = carried(points, "pressure", p, unit="Pa")
     pressure.pores = as_tags(tag)
     pores = carried(points, "porosity", n_end, unit="", first=first_porosity(porosity))

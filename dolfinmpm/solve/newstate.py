@@ -54,8 +54,9 @@ def new_state(
         carried: Values of fields that the form carries, if they do not follow from the present
             increments.
         stays: Whether points strain, but do not move.
-        moved: Increments at the nodes by which points move, if they are not the present increments.
-            Contacts and springs follow them. Shape (nodes, components) per field.
+        moved: Increments at the nodes by which points move, if they are not the present increments:
+            in explicit steps of the order "usf" the strain is that of the last motion. Contacts and
+            springs follow them. Shape (nodes, components) per field.
 
     Returns:
         The state, or the reason of a failure.
