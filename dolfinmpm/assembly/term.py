@@ -68,8 +68,8 @@ class ActiveTerm:
     `dolfinmpm.contact.contactpoints.ActiveContact`.
 
     Attributes:
-        kind: "points", "boundary", "grid", "contact" or "inertia"; sums of forces may leave out a
-            kind.
+        kind: "points", "boundary", "grid", "contact", "springs" or "inertia"; sums of forces may
+            leave out a kind.
         is_load: Whether its external forces are loads, whose work counts as external.
         stiffness: Blocks K that do not depend on the increments u: K u is added to the internal
             forces.
@@ -109,6 +109,14 @@ class ActiveTerm:
         Args:
             entries: The matrix, by the numbers of the row field and the column field.
         """
+
+    def work_at_end(self) -> float:
+        """Work of forces that it stores on the motion of an explicit step (J). Collective.
+
+        The forces are those at the end of the step. Stress, contact and boundaries have theirs
+        elsewhere, see `dolfinmpm.dynamics.energies`.
+        """
+        return 0.0
 
     def update(self, new: NewState) -> None:
         """Add what the points keep of the term at the end of the step."""

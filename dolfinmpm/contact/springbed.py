@@ -30,7 +30,7 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.terms.surfaceterm import face_stencils
 
-__all__ = ["ActiveSprings", "springs"]
+__all__ = ["springs"]
 
 Array = npt.NDArray[np.float64]
 
@@ -159,7 +159,7 @@ class ActiveSprings(ActiveTerm):
         return np.sum(normals * (self._seen @ self._u), axis=1)
 
     def work_at_end(self) -> float:
-        """Work of the forces at the end of the step on its motion (J), on all ranks. Collective."""
+        """See `ActiveTerm`. Collective."""
         k, moved = self._bed.normals[1][self._rows], self._moved()
         done = -float(np.sum(k * (self._bed.way[self._rows] + moved) * moved))
         return self._bed.points.comm.allreduce(done, op=MPI.SUM)

@@ -23,7 +23,6 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.contact.springbed import ActiveSprings
 from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
@@ -202,8 +201,7 @@ class GeneralSteps(ExplicitBase):
             more, work.late_bodies = lateness_by_contact(bodies, acting, comm, stress_is_late)
             work.late += more
         for term in operator.others:
-            if isinstance(term, ActiveSprings):
-                work.late += (1.5 if stress_is_late else 0.5) * term.work_at_end()
+            work.late += (1.5 if stress_is_late else 0.5) * term.work_at_end()
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
         """Energy lost by the mapping in a step (J), see `Work`. Collective.
