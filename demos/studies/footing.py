@@ -214,7 +214,7 @@ class Scene:
         updates = {"moved": moved + u, "turned": turned + ufl.dot(ufl.grad(u), points.F)}
         self.problem = mpm.QuasiStatic(
             F, u, points, bcs, updates=updates,
-            stabilisation=mpm.Stabilisation(args.stabilisation, E=args.modulus),
+            stabilisation=mpm.Stabilisation(args.stabilisation),
         )  # fmt: skip
         self.explicit, self.settled = None, 0.0
         if args.integrator == "explicit":

@@ -167,7 +167,7 @@ class _CompiledForm:
         """Values of a modulus at the facets."""
         M, G = modulus.moduli.T
         if modulus.target is None:
-            return M.copy()
+            return modulus.plain(M, G)
         make = MeshPairs(self._spaces[0], modulus.scaling)
         assert self._entities is not None
         rows = self._entities[GHOST_FACETS].reshape(-1, 4)

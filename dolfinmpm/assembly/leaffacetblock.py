@@ -235,7 +235,7 @@ class LeafFacetBlock:
         modulus, facets = self.moduli[k], self.facets
         M, G = modulus.moduli.T
         if modulus.target is None:
-            return np.array(M)
+            return modulus.plain(M, G)
         for key in facets.keys:
             none = np.full((len(self.moduli), INTERVALS + 1), np.nan)
             self._penalties.setdefault(key, none)

@@ -294,7 +294,7 @@ class FacetBlock:
         modulus, facets, kept = self.moduli[k], self.facets, self._kept
         M, G = modulus.moduli[facets.selected].T
         if modulus.target is None:
-            return M.copy()
+            return modulus.plain(M, G)
         degree = self._basis.degree
         for code in facets.examples:
             kept.penalties.setdefault(code, np.full((len(self.moduli), INTERVALS + 1), np.nan))

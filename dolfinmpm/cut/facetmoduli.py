@@ -75,22 +75,39 @@ class FacetModulus(fem.Function):
         target: Target of the local constant, see `dolfinmpm.assembly.facetpenalties`; None for the
             P-wave modulus itself.
         scaling: Scaling of the term, see `ghost`.
+        part: Which modulus it is without a target: "M", or "G" and "lambda" = M − 2G.
+        source: Another modulus of the same term; this one has its M and G.
 
     Attributes:
-        points, increment, target, scaling: The arguments.
+        points, increment, target, scaling, source: The arguments.
         moduli: M and G of each facet (Pa; times 2π r in axisymmetric problems), in the order of
             the field's entities, shape (facets, 2).
         values: Value at each facet (Pa), shape (facets,).
     """
 
-    def __init__(self, points: MaterialPoints, u, target: float | None, scaling: str):
+    def __init__(
+        self, points: MaterialPoints, u, target: float | None = None, scaling: str = "scaled",
+        part: str = "M", source: FacetModulus | None = None,
+    ):  # fmt: skip
         super().__init__(_constants_by_cell(points.grid), name="facet_modulus")
         # it is no load of the user
         self._dolfinmpm_own = True
         self.points, self.increment, self.target = points, u, target
-        self.scaling = scaling
+        self.scaling, self._part, self.source = scaling, part, source
         self.moduli: Array = np.empty((0, 2))
         self.values: Array = np.empty(0)
+
+    def plain(self, M: Array, G: Array) -> Array:
+        """Its values without a target (Pa), shape (facets,).
+
+        Args:
+            M, G: The two moduli of each facet, likewise.
+        """
+        if self._part == "M":
+            return M.copy()
+        # M − 2G is negative in auxetic materials, and a penalty must not be
+        G = np.minimum(G, 0.5 * M)
+        return G if self._part == "G" else M - 2 * G
 
 
 class FacetRing(FacetModulus):
@@ -183,9 +200,12 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
     """Set moduli of ghost facets from the present moduli of the points. Collective.
 
     Args:
-        modulus: The modulus; its `moduli` are set.
+        modulus: The modulus; its `moduli` are set, after those of its source.
         field: The active field of its increment.
     """
+    if modulus.source is not None:
+        modulus.moduli = modulus.source.moduli
+        return
     points = modulus.points
     facets = field.entities[GHOST_FACETS].reshape(-1, 4)
     if isinstance(modulus, FacetRing):

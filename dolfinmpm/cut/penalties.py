@@ -38,8 +38,10 @@ SCALINGS = ("scaled", "literal", "tangent")
 ADAPTIVE = "adaptive"
 # Target of the local constant: from 20 to 50 conditioning and locking hardly change
 TARGET = 30.0
-# Factors of the ghost penalty for linear functions, quadratic and cubic splines
-GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
+# Factors of the ghost penalty for linear functions, quadratic and cubic splines: of a stiffness, and
+# of a mass
+GHOST_FACTORS = {1: 1.0, 2: 30.0, 3: 1e4}
+GHOST_MASS_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
 
 
 def penalty_factor(what: str, value: Any, most: float = LARGEST_PENALTY) -> float:
@@ -92,6 +94,37 @@ def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
     for _ in range(k):
         derivative = ufl.dot(derivative, n)
     return derivative
+
+
+def _jump(w: Expr, k: int) -> Expr:
+    """Jump of the k-th normal derivative of w across a facet."""
+    return _normal_derivative(w, "+", k) - _normal_derivative(w, "-", k)
+
+
+def _surface_divergence(w: Expr, k: int) -> Expr:
+    """Divergence along a facet of the jump of the k-th normal derivative of a vector w."""
+    gradient_of = functools.reduce(lambda f, _: ufl.grad(f), range(k + 1), w)
+    found = gradient_of("+") - gradient_of("-")
+    n = ufl.FacetNormal(ufl.domain.extract_unique_domain(w))("+")
+    for _ in range(k):
+        # the order of derivatives does not matter
+        found = ufl.dot(found, n)
+    return ufl.tr(found) - ufl.dot(n, ufl.dot(found, n))
+
+
+def _energy_of_jumps(u: Expr, v: Expr, k: int, h: Expr, G: Expr, lam: Expr) -> Expr:
+    """2 G a·b + λ [a_n b_n + r h² div_Γ a div_Γ b], with the jumps a and b of u and v.
+
+    A function with the jump a of its k-th normal derivative differs by w = a sᵏ/k! from the
+    function that its neighbour would continue, at the distance s from the facet. So the divergence
+    of w is a_n sᵏ⁻¹/(k−1)! + div_Γ a sᵏ/k!. The ratio r of the integrals of the squares over the
+    cell is (2k−1)/((2k+1) k²).
+    """
+    a, b = _jump(u, k), _jump(v, k)
+    n = ufl.FacetNormal(ufl.domain.extract_unique_domain(u))("+")
+    ratio = (2 * k - 1) / ((2 * k + 1) * k**2)
+    along = ratio * h**2 * _surface_divergence(u, k) * _surface_divergence(v, k)
+    return 2 * G * ufl.inner(a, b) + lam * (ufl.dot(a, n) * ufl.dot(b, n) + along)
 
 
 def _height(grid: Mesh, space: Space | None) -> Expr:
@@ -193,9 +226,16 @@ def ghost(
     # h always before γ: FFCx identifies forms by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     h = _height(points.grid, space)
+    parts: list[Any] = []
+    moduli: list[Expr] = []
     if of_law:
         check_displacement(points, u=u, v=v)
-    parts: list[Any] = [FacetModulus(points, u, target, scaling)("+")] if of_law else []
+        in_parts = target is None and points.gdim > 1
+        modulus = FacetModulus(points, u, target, scaling, "G" if in_parts else "M")
+        if in_parts:
+            moduli = [modulus("+"), FacetModulus(points, u, part="lambda", source=modulus)("+")]
+        else:
+            parts.append(modulus("+"))
     if gamma is not None:
         parts.append(gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma))
     if points.axisymmetric and not of_law:
@@ -206,14 +246,13 @@ def ghost(
     if scaling != "literal":
         weight = weight / h**2
 
-    def jump(w: Expr, k: int) -> Expr:
-        return _normal_derivative(w, "+", k) - _normal_derivative(w, "-", k)
+    def product(k: int) -> Expr:
+        if moduli:
+            return _energy_of_jumps(u, v, k, h, *moduli)
+        return ufl.inner(_jump(u, k), _jump(v, k))
 
     terms = [
-        weight
-        * h ** (2 * k + 1)
-        / ((2 * k + 1) * math.factorial(k) ** 2)
-        * ufl.inner(jump(u, k), jump(v, k))
+        weight * h ** (2 * k + 1) / ((2 * k + 1) * math.factorial(k) ** 2) * product(k)
         for k in range(min(smooth, order - 1) + 1, order + 1)
     ]
     facets = points.dS

@@ -171,19 +171,73 @@ def block(basis="linear", gdim=2, kind=None, law=None, n=6, load=None, **options
     return problem
 
 
-@pytest.mark.parametrize(
-    ("gdim", "kind"),
-    [(2, None), (2, mesh.CellType.triangle), (3, None), (3, mesh.CellType.tetrahedron)],
-)
+def normal_of(grid, row):
+    """Unit normal of the facet (cell, local facet, cell, local facet)."""
+    tdim = grid.topology.dim
+    grid.topology.create_connectivity(tdim, tdim - 1)
+    facet = grid.topology.connectivity(tdim, tdim - 1).links(row[0])[row[1]]
+    grid.topology.create_connectivity(tdim - 1, 0)
+    corners = mesh.entities_to_geometry(grid, tdim - 1, np.array([facet], np.int32))[0]
+    x = grid.geometry.x[corners]
+    edges = x[1:] - x[0]
+    return np.linalg.svd(edges[:, :tdim])[2][-1]
+
+
+GRIDS = [(2, None), (2, mesh.CellType.triangle), (3, None), (3, mesh.CellType.tetrahedron)]
+
+
+def energy_of_jumps(space, rows, order, M, G, w):
+    """The energy of a displacement's jumps in components, integrated by DOLFINx; cells of 1 m."""
+    grid, gdim = space.grid, space.grid.geometry.dim
+    facets = ufl.Measure("dS", grid, subdomain_data=[(1, rows.ravel().astype(np.int32))])(1)
+    n = ufl.FacetNormal(grid)("+")
+    derivative = w
+    for _ in range(order):
+        derivative = ufl.grad(derivative)
+    jump = derivative("+") - derivative("-")
+    along = ufl.grad(derivative)("+") - ufl.grad(derivative)("-")
+    for _ in range(order):
+        jump, along = ufl.dot(jump, n), ufl.dot(along, n)
+    normal = sum(jump[i] * n[i] for i in range(gdim))
+    project = ufl.Identity(gdim) - ufl.outer(n, n)
+    spread = sum(project[i, j] * along[i, j] for i in range(gdim) for j in range(gdim))
+    ratio = {1: 1 / 3, 2: 3 / 20}[order]
+    density = 2 * G * sum(jump[i] ** 2 for i in range(gdim))
+    density += (M - 2 * G) * (normal**2 + ratio * spread**2)
+    scale = {1: 1 / 3, 2: 1 / 20}[order]
+    return fem.assemble_scalar(fem.form(scale * density * facets))
+
+
+@pytest.mark.parametrize(("gdim", "kind"), GRIDS)
+def test_jumps_cost_the_energy_of_shear_and_of_volume(gdim, kind):
+    M, G = moduli_of(0.3, 1e3)
+    problem = block(gdim=gdim, kind=kind, factor=2.0)
+    (field,) = problem.here.fields
+    rows = field.entities[GHOST_FACETS].reshape(-1, 4)
+    w = fem.Function(field.space.function_space)
+    # with mixed derivatives
+    w.interpolate(lambda x: np.array([np.sin(x[0] + 2 * x[1] + k) * x[2 - k] ** k for k in range(gdim)]))
+    x = field.basis.node_coordinates()[:, :gdim]
+    own = field.space.function_space.tabulate_dof_coordinates()[:, :gdim]
+    at = np.argmin(np.linalg.norm(own[None] - x[:, None], axis=2), axis=1)
+    u = w.x.array.reshape(-1, gdim)[at]
+    forces = np.zeros_like(u)
+    for part in problem.here.blocks_of("stiffness"):
+        add_product(part, [u], [forces])
+    energy = 2 / 30 * energy_of_jumps(field.space, rows, 1, M, G, w)
+    assert float(np.sum(forces * u)) == pytest.approx(energy, rel=1e-9)
+
+
+@pytest.mark.parametrize(("gdim", "kind"), GRIDS)
 @pytest.mark.parametrize("factor", [None, "adaptive"])
 def test_each_facet_has_its_own_factor(gdim, kind, factor):
     law = mpm.materials.Hencky(E=lambda x: 1e3 * (1 + x[0]), nu=lambda x: 0.1 + 0.1 * x[1] / 3)
     problem = block(gdim=gdim, kind=kind, law=law, factor=factor, n=4)
-    (modulus,) = problem.form.moduli
+    modulus = problem.form.moduli[0]
     (field,) = problem.here.fields
     rows = field.entities[GHOST_FACETS].reshape(-1, 4)
     assert np.ptp(modulus.values) > 0.1 * modulus.values.mean()
-    # energy of a displacement, facet by facet
+    # energy of a displacement, facet by facet; its mixed second derivatives are zero
     pairs = MeshPairs(field.space, "scaled")
     x = field.basis.node_coordinates()[:, :gdim]
     u = np.sin(x) + np.cos(x[:, ::-1] * 1.3)
@@ -194,8 +248,15 @@ def test_each_facet_has_its_own_factor(gdim, kind, factor):
     for row, value, (M, G) in zip(rows, modulus.values, modulus.moduli):
         pair = pairs(row)
         w = u[at[np.unique(nodes[row[[0, 2]]])]].ravel()
-        energy += share * value * (w @ pair.J @ w)
-        if factor:
+        if not factor:
+            # a jump of the first derivative resists shear, and its normal part a change of volume
+            n = normal_of(field.space.grid, row)
+            across = w.reshape(-1, gdim) @ n
+            assert value == pytest.approx(G)
+            energy += share * 2 * G * (w @ pair.J @ w)
+            energy += share * (M - 2 * G) * (across @ pair.J[::gdim, ::gdim] @ across)
+        else:
+            energy += share * value * (w @ pair.J @ w)
             assert value / M == pytest.approx(pair.penalty(G / M, 30.0), rel=0.01)
             first, second = pair.stiffness(isotropic(M, G, gdim))
             orders = (first, second), (second, first)
@@ -211,10 +272,11 @@ def test_each_facet_has_its_own_factor(gdim, kind, factor):
 @pytest.mark.parametrize("basis", ["gimp", "bspline2"])
 def test_domains_share_their_moduli_out(basis):
     problem = block(basis)
-    (modulus,) = problem.form.moduli
+    shear, volume = problem.form.moduli
     M, G = moduli_of(0.3, 1e3)
-    np.testing.assert_allclose(modulus.moduli, np.tile([M, G], (len(modulus.values), 1)))
-    np.testing.assert_allclose(modulus.values, M)
+    for modulus, value in ((shear, G), (volume, M - 2 * G)):
+        np.testing.assert_allclose(modulus.moduli, np.tile([M, G], (len(modulus.values), 1)))
+        np.testing.assert_allclose(modulus.values, value)
 
 
 def test_the_penalty_follows_soil_that_yields():
@@ -293,8 +355,9 @@ def test_terms_with_and_without_moduli_add_up():
     points = mpm.fill(grid, mpm.Box((0, 0), (3.3, 2.6)), 2, 1.0)
     V = mpm.Space(grid, "bspline2")
     u, v = V.increment, V.test
-    law = mpm.materials.Hencky(E=1e3, nu=0.2)
-    M, _ = moduli_of(0.2, 1e3)
+    # ν = 0: all components of a jump have one modulus
+    law = mpm.materials.Hencky(E=1e3, nu=0.0)
+    M, _ = moduli_of(0.0, 1e3)
 
     def matrix(*terms):
         F = sum(terms, start=mpm.momentum(law, points, u, v))
