@@ -116,12 +116,13 @@ def beam(depth: int) -> Callable[[Answer], list[float]]:
 
 
 def local_constants(answer: Answer) -> list[float]:
-    """Local constants for γ = E/30, γ = M/30 and the adaptive γ, each at ν = 0 and 0.49."""
+    """Local constants for γ = E/30, γ = M/30, the default and the adaptive γ, ν = 0 and 0.49."""
     found = {row["nu"]: row for row in answer["constants"]}
     ends = found[0.0], found[0.49]
     return [
         *(row["by_E"][0] for row in ends),
         *(row["by_M"][0] for row in ends),
+        *(row["by_law"] for row in ends),
         *(row["adaptive"] for row in ends),
     ]
 
@@ -232,14 +233,15 @@ ROWS = (
         kappa_of("ghost", "aggregation", "derivative jumps"), "{:.2g}, {:.2g}, {:.3g}",
         "without: singular"),
     Row("ghost-constant", CUTS, "local constant of a full and an empty cell, linear functions, "
-        "ν = 0 and 0.49: γ = E/30, γ = M/30, adaptive", each("ghost_parameter", ""),
-        local_constants, "{:.0f}, {:.0f}; {:.0f}, {:.0f}; {:.1f}, {:.1f}",
+        "ν = 0 and 0.49: γ = E/30; γ = M/30; by the law (default); adaptive",
+        each("ghost_parameter", ""),
+        local_constants, "{:.0f}, {:.0f}; {:.0f}, {:.0f}; {:.0f}, {:.0f}; {:.1f}, {:.1f}",
         "target of the adaptive γ: 30", quick=True),
     Row("ghost-yielding", CUTS, "the same, adaptive γ, tangents of yielding soil: largest factor "
         "between the constant and its target 30", each("ghost_parameter", ""),
         keys("worst_yielding"), "{:.2f}", "at most 2", quick=True),
     Row("ghost-beam", CUTS, "cantilever 4 cells deep, deflection relative to the deflection with a "
-        "very small penalty: g = 1/90, 1/9, 1/3, 1; γ = M/30, adaptive",
+        "very small penalty: g = 1/90, 1/9, 1/3, 1; by the law (default), adaptive",
         each("ghost_parameter", ""), beam(4), "{:.3f}, {:.3f}, {:.3f}, {:.3f}; {:.3f}, {:.3f}",
         "an independent code: 0.996, 0.964, 0.902, 0.762", quick=True),
     Row("cuts-3d", CUTS, "elastic block in 3D, 20³ cells, cut at 1e-6, 0.001, 0.1, 0.5, 0.9 of a "

@@ -7,8 +7,9 @@
 #
 # $$ u\cdot K_\mathrm{cut}\,u \le C\,(u\cdot K_\mathrm{full}\,u + \gamma\, u\cdot J\,u). $$
 #
-# Three questions are asked. How does $C$ depend on $\gamma$ and Poisson's ratio, with $\gamma$ in
-# units of Young's modulus $E$ and of the P-wave modulus $M = \lambda + 2\mu$? Does
+# Three questions are asked. How does $C$ depend on the penalty and Poisson's ratio, with $\gamma$ in
+# units of Young's modulus $E$ and of the P-wave modulus $M = \lambda + 2\mu$, and with the default,
+# which weights shear and change of volume of a jump by $2\mu$ and $\lambda$? Does
 # `factor="adaptive"` meet its target under elastic tangents and under those of soil that yields?
 # And what does the penalty do to the deflection of a cantilever few cells deep, whose cells are all
 # cut or next to cut ones?
@@ -33,7 +34,7 @@ from dolfinmpm.assembly.facetpenalties import (
     lattice_pair,
     local_constant,
 )
-from dolfinmpm.assembly.facettensors import FacetTensors
+from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli
 from dolfinmpm.assembly.latticefacets import LatticeFacet
 from dolfinmpm.cut.facetmoduli import bounded, isotropic_moduli
 from dolfinmpm.materials.base import lame
@@ -67,18 +68,24 @@ class Input(Options):
 
 # %%
 def two_cells(basis, dimension):
-    """The pair of cells, with the library's own penalty for γ = 1 Pa."""
+    """The pair of cells with γ = 1 Pa, and the default penalties per Pa of G and of λ."""
     cells = (7,) * dimension
     grid = box_grid([(0,) * dimension, cells], cells, MPI.COMM_SELF)
     points = mpm.fill(grid, mpm.Box((0,) * dimension, (1,) * dimension), 1, 1.0)
     V = mpm.Space(grid, basis)
-    form = mpm.ghost(points, V.increment, V.test, gamma=1.0)
-    bilinear = ufl.derivative(form, V.increment, ufl.TrialFunction(V.function_space))
-    bilinear = ufl.algorithms.expand_derivatives(bilinear)
     lines = [np.arange(8.0)] * dimension
     place = LatticeFacet(lines, (3,) * dimension, 0, False)
-    tensor = FacetTensors(bilinear, DEGREES[basis], dimension)(place)
-    return lattice_pair(place, DEGREES[basis], tensor)
+
+    def pairs(**strength):
+        form = mpm.ghost(points, V.increment, V.test, **strength)
+        bilinear = ufl.derivative(form, V.increment, ufl.TrialFunction(V.function_space))
+        bilinear = ufl.algorithms.expand_derivatives(bilinear)
+        tensors = FacetTensors(bilinear, DEGREES[basis], dimension)
+        found = [tensors(place, one) for one in facet_moduli(form) or [None]]
+        return [lattice_pair(place, DEGREES[basis], tensor) for tensor in found]
+
+    default = mpm.Stabilisation("ghost").factor_of(V.increment)
+    return *pairs(gamma=1.0), [pair.J for pair in pairs(factor=default)]
 
 
 def constant(pair, tangent, penalty):
@@ -95,8 +102,8 @@ def adaptive(pair, moduli, target):
     return M * by_ratio(kept, np.array([G / M]), kinds, [lambda: pair], target)[0]
 
 
-def elastic_constants(pair, args):
-    """C under elasticity: of fixed factors in units of E and M, and of the adaptive one."""
+def elastic_constants(pair, args, by_G, by_lambda):
+    """C under elasticity: fixed factors in units of E and M, the default, and the adaptive one."""
     rows = []
     for nu in args.poisson:
         lmbda, mu = lame(1.0, nu)
@@ -107,6 +114,7 @@ def elastic_constants(pair, args):
             "nu": nu,
             "by_E": [constant(pair, D, 3 * g) for g in FACTORS],
             "by_M": [constant(pair, D, 3 * g * M) for g in FACTORS],
+            "by_law": local_constant(*pair.stiffness(D), mu * by_G + lmbda * by_lambda),
             "adaptive": constant(pair, D, gamma),
             "g": gamma / 3 / M,
         })  # fmt: skip
@@ -227,12 +235,12 @@ def deflection(depth, g, cut, **options):
 
 
 args = Input.parse()
-pair = two_cells(args.basis, args.dimension)
-constants = elastic_constants(pair, args)
+pair, by_moduli = two_cells(args.basis, args.dimension)
+constants = elastic_constants(pair, args, *by_moduli)
 for row in constants:
     say(
         f"ν = {row['nu']:.3f}: C in units of E {np.round(row['by_E'], 1).tolist()}, of M "
-        f"{np.round(row['by_M'], 1).tolist()}, "
+        f"{np.round(row['by_M'], 1).tolist()}, by the law {row['by_law']:.1f}, "
         f"adaptive {row['adaptive']:.1f} with g = {row['g']:.3g}"
     )
 yielding = yielding_constants(pair, args)
@@ -273,7 +281,11 @@ if not args.no_plot and MPI.COMM_WORLD.rank == 0:
                 line, [constant(pair, D, 3 * g * M) for g in line], color=color, label=label
             )
             left.plot(row["g"], row["adaptive"], "o", color=color)
-        left.set(xlabel="g in units of M (dotted: E); circles: adaptive", ylabel="local constant C")
+            left.plot(1 / 90, row["by_law"], "x", color=color)
+        left.set(
+            xlabel="g in units of M (dotted: E); ○ adaptive, × default",
+            ylabel="local constant C",
+        )
         left.legend()
         names = list(LAWS)
         for row in yielding:

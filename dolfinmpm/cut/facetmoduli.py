@@ -53,9 +53,9 @@ FIELD = "tangent_moduli"
 # demos/studies/ghost_parameter.py.
 LEAST = 0.1
 
-# Largest M of laws with F-bar, by the elastic G (M at ν = 0.4545). Near incompressibility, F-bar
-# leaves one volume change per cell to resist M, but a penalty in units of M would resist all.
-MOST = 12.0
+# Largest M of laws with F-bar, by the elastic G (M at ν = 1/3). Near incompressibility, F-bar leaves
+# one volume change per cell to resist M, but a penalty in units of M would resist all.
+MOST = 4.0
 
 
 @once_per_grid

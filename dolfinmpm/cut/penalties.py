@@ -176,13 +176,17 @@ def ghost(
             twice the constant of functions without jumps, which no γ can lower. This constant is
             10 to 14 for linear functions on squares and cubes, 180 to 250 for quadratic splines,
             and thousands for cubic splines.
-        factor: γ in units of M/30, instead of `gamma`. M is the P-wave modulus of the laws' tangent
-            at the facet: a mean over the points of its two cells (see
-            `dolfinmpm.cut.facetmoduli`). A penalty in units of E is too weak near
-            incompressibility: the local constant rises from 414 at ν = 0 to 7340 at ν = 0.49,
-            but only to 441 with M. With F-bar, M is at most 12 times the elastic shear modulus:
-            more would lock. "adaptive" chooses γ per facet: the smallest γ for which the
-            local constant of the two cells is at most `target`, with the tangent of the laws; see
+        factor: Factor of a penalty by the laws, instead of `gamma`. With the moduli G and λ of the
+            laws' tangent at the facet (means over the points of its two cells, see
+            `dolfinmpm.cut.facetmoduli`), and the jumps a and b of the derivatives of u and v,
+            γ a·b becomes factor/30 · [2 G a·b + λ (a_n b_n + r h² div_Γ a div_Γ b)],
+            r = (2k−1)/((2k+1) k²). This is the energy by which a jump resists shear and change of
+            volume; M = λ + 2G for all components would resist soil that slips at constant volume.
+            A penalty in units of E is too weak near incompressibility: the local constant rises
+            from 414 at ν = 0 to 7340 at ν = 0.49; here it falls to 181. With F-bar, M is at
+            most 4 times the elastic shear modulus: more would lock. "adaptive" chooses one γ per
+            facet for all components: the smallest γ for which the local constant of the two cells
+            is at most `target`, with the tangent of the laws; see
             `dolfinmpm.assembly.facetpenalties`.
 
     Raises:
@@ -216,7 +220,7 @@ def ghost(
     of_law, strength = factor is not None, gamma if factor is None else factor
     if of_law and gamma is not None:
         raise ParameterError(
-            f"gamma = {shown(gamma)} (Pa) and factor = {shown(factor)} (in units of M/30) are both "
+            f"gamma = {shown(gamma)} (Pa) and factor = {shown(factor)} (by the laws' moduli) are both "
             "given; give one of them"
         )
     if not of_law:

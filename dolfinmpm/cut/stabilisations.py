@@ -67,13 +67,13 @@ class Stabilisation:
             - "soft": a share of the elastic stiffness of whole cells, in the tangent only.
         E: Young's modulus (Pa) for the scaling of penalties; by default that of the law.
         nu: Poisson's ratio, likewise.
-        factor: Penalty in units of M/30, or E/30, for "ghost", and of E for "weak-aggregation"; or
-            "adaptive", see `ghost`. The default is 1 on linear functions. A ghost penalty has 100
-            on quadratic and 10⁴ on cubic splines, because their last functions are much smaller
-            where a body ends. Weak aggregation has 0.3 and 0.1, because the weights of
+        factor: Factor of the ghost penalty, by the laws or in units of E/30, or "adaptive", see
+            `ghost`; of "weak-aggregation" in units of E. The default is 1 on linear functions. A
+            ghost penalty has 30 on quadratic and 10⁴ on cubic splines, because their last
+            functions are much smaller where a body ends. Weak aggregation has 0.3 and 0.1, because the weights of
             continuations are larger.
-        scaling: Scaling of the ghost penalty, see `ghost`. The default is "tangent": M is the
-            P-wave modulus of the laws' tangent at the facet. Where E is given it is "scaled".
+        scaling: Scaling of the ghost penalty, see `ghost`. The default is "tangent": by the moduli
+            of the laws' tangent at the facet. Where E is given it is "scaled".
         target: Local constant of an adaptive ghost penalty; see `ghost`.
         threshold: Fill fraction from which a cell is well-filled. The default is 0.5, and 0.7 and
             0.9 for quadratic and cubic splines. For its meaning on splines see
