@@ -53,8 +53,8 @@ FIELD = "tangent_moduli"
 # demos/studies/ghost_parameter.py.
 LEAST = 0.1
 
-# Largest M of laws with F-bar, by the elastic G (M at ν = 1/3). Near incompressibility, F-bar leaves
-# one volume change per cell to resist M, but a penalty in units of M would resist all.
+# Largest M of laws with F-bar, by the elastic G (M at ν = 1/3). Near incompressibility, F-bar
+# leaves one volume change per cell to resist M, but a penalty in units of M would resist all.
 MOST = 4.0
 
 

@@ -38,8 +38,8 @@ SCALINGS = ("scaled", "literal", "tangent")
 ADAPTIVE = "adaptive"
 # Target of the local constant: from 20 to 50 conditioning and locking hardly change
 TARGET = 30.0
-# Factors of the ghost penalty for linear functions, quadratic and cubic splines: of a stiffness, and
-# of a mass
+# Factors of the ghost penalty for linear functions, quadratic and cubic splines: of a stiffness,
+# and of a mass
 GHOST_FACTORS = {1: 1.0, 2: 30.0, 3: 1e4}
 GHOST_MASS_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
 
@@ -125,6 +125,16 @@ def _energy_of_jumps(u: Expr, v: Expr, k: int, h: Expr, G: Expr, lam: Expr) -> E
     ratio = (2 * k - 1) / ((2 * k + 1) * k**2)
     along = ratio * h**2 * _surface_divergence(u, k) * _surface_divergence(v, k)
     return 2 * G * ufl.inner(a, b) + lam * (ufl.dot(a, n) * ufl.dot(b, n) + along)
+
+
+def _moduli_of_laws(
+    points: MaterialPoints, u: Expr, target: float | None, scaling: str
+) -> tuple[list[Expr], list[Expr]]:
+    """The modulus of all components of a jump; or none, and G and λ for `_energy_of_jumps`."""
+    if target is not None or points.gdim == 1:
+        return [FacetModulus(points, u, target, scaling)("+")], []
+    shear = FacetModulus(points, u, part="G")
+    return [], [shear("+"), FacetModulus(points, u, part="lambda", source=shear)("+")]
 
 
 def _height(grid: Mesh, space: Space | None) -> Expr:
@@ -220,8 +230,8 @@ def ghost(
     of_law, strength = factor is not None, gamma if factor is None else factor
     if of_law and gamma is not None:
         raise ParameterError(
-            f"gamma = {shown(gamma)} (Pa) and factor = {shown(factor)} (by the laws' moduli) are both "
-            "given; give one of them"
+            f"gamma = {shown(gamma)} (Pa) and factor = {shown(factor)} (of the laws' moduli) are "
+            "both given; give one of them"
         )
     if not of_law:
         gamma = _scalar("gamma", gamma, points)
@@ -234,12 +244,7 @@ def ghost(
     moduli: list[Expr] = []
     if of_law:
         check_displacement(points, u=u, v=v)
-        in_parts = target is None and points.gdim > 1
-        modulus = FacetModulus(points, u, target, scaling, "G" if in_parts else "M")
-        if in_parts:
-            moduli = [modulus("+"), FacetModulus(points, u, part="lambda", source=modulus)("+")]
-        else:
-            parts.append(modulus("+"))
+        parts, moduli = _moduli_of_laws(points, u, target, scaling)
     if gamma is not None:
         parts.append(gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma))
     if points.axisymmetric and not of_law:

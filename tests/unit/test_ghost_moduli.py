@@ -216,7 +216,9 @@ def test_jumps_cost_the_energy_of_shear_and_of_volume(gdim, kind):
     rows = field.entities[GHOST_FACETS].reshape(-1, 4)
     w = fem.Function(field.space.function_space)
     # with mixed derivatives
-    w.interpolate(lambda x: np.array([np.sin(x[0] + 2 * x[1] + k) * x[2 - k] ** k for k in range(gdim)]))
+    w.interpolate(
+        lambda x: np.array([np.sin(x[0] + 2 * x[1] + k) * x[2 - k] ** k for k in range(gdim)])
+    )
     x = field.basis.node_coordinates()[:, :gdim]
     own = field.space.function_space.tabulate_dof_coordinates()[:, :gdim]
     at = np.argmin(np.linalg.norm(own[None] - x[:, None], axis=2), axis=1)
