@@ -8,8 +8,8 @@
 # $$ u\cdot K_\mathrm{cut}\,u \le C\,(u\cdot K_\mathrm{full}\,u + \gamma\, u\cdot J\,u). $$
 #
 # Three questions are asked. How does $C$ depend on the penalty and Poisson's ratio, with $\gamma$
-# in units of Young's modulus $E$ and of the P-wave modulus $M = \lambda + 2\mu$, and with the default,
-# which weights shear and change of volume of a jump by $2\mu$ and $\lambda$? Does
+# in units of Young's modulus $E$ and of the P-wave modulus $M = \lambda + 2\mu$, and with the
+# default, which weights shear and change of volume of a jump by $2\mu$ and $\lambda$? Does
 # `factor="adaptive"` meet its target under elastic tangents and under those of soil that yields?
 # And what does the penalty do to the deflection of a cantilever few cells deep, whose cells are all
 # cut or next to cut ones?
