@@ -40,12 +40,14 @@ from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.serialnumbers import next_number
 from dolfinmpm.grid.sides import side_of
 
-__all__ = ["OWN", "Boundary"]
+__all__ = ["APART", "OWN", "Boundary"]
 
 Array = npt.NDArray[np.float64]
 
 # Field of the markers' own deformation gradient; the field `F` is taken from the nearest point
 OWN = "F_own"
+# Field that is 1 at markers with no body beside them
+APART = "apart"
 
 
 class Boundary:
@@ -65,7 +67,7 @@ class Boundary:
         area: Area vectors, area times outward unit normal (m^(d-1)), shape (n, gdim). For
             axisymmetric bodies the area goes around the axis: 2π r times the length of the
             section (m²). Other constructors compute the vectors.
-        follows: Whether the markers move with the body; otherwise they do not move.
+        follows: Whether the markers move with the body, and go with points that are removed.
         name: Name in messages and checkpoints.
         activates: Whether the cells of the markers become active, as for the boundary of a body.
             Otherwise a marker acts while material points are in its cell, as for a wall. By
@@ -79,6 +81,7 @@ class Boundary:
         late: Whether the body had moved before the boundary was made.
         tiles: Whether each marker is the middle of a segment with the marker's length. The
             segments together are the boundary.
+        heeded: Number of calls of `points.remove` after which the markers were looked at.
         forces: Names of the markers' fields with the forces of conditions on the body in the last
             step (N), see `force`.
         ds: Measure over the markers.
@@ -129,6 +132,7 @@ class Boundary:
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
         self.tiles = False
+        self.heeded = len(points.removals)
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next_number(points.grid, 'boundary')}"
@@ -163,9 +167,8 @@ class Boundary:
 
     def present(self) -> npt.NDArray[np.bool_]:
         """Which markers are near the body, shape (markers,)."""
-        if "apart" not in self.markers.fields:
-            return np.ones(len(self.markers), bool)
-        return self.markers["apart"] == 0.0
+        apart = self.markers.fields.get(APART)
+        return np.ones(len(self.markers), bool) if apart is None else apart == 0.0
 
     def __repr__(self) -> str:
         return f"Boundary '{self.name}'"
