@@ -22,6 +22,7 @@ from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.markerdistance import APART, mark_far
 from dolfinmpm.body.markergeometry import (
     check_outward,
     level_set_markers,
@@ -40,14 +41,12 @@ from dolfinmpm.grid.lattice import require_lattice
 from dolfinmpm.grid.serialnumbers import next_number
 from dolfinmpm.grid.sides import side_of
 
-__all__ = ["APART", "OWN", "Boundary"]
+__all__ = ["OWN", "Boundary"]
 
 Array = npt.NDArray[np.float64]
 
 # Field of the markers' own deformation gradient; the field `F` is taken from the nearest point
 OWN = "F_own"
-# Field that is 1 at markers with no body beside them
-APART = "apart"
 
 
 class Boundary:
@@ -88,7 +87,8 @@ class Boundary:
 
     Raises:
         FieldShapeError: An array has another shape.
-        ParameterError: A value is not finite, an area is zero, or the normals point into the body.
+        ParameterError: A value is not finite, an area is zero, the normals point into the body, or
+            a boundary that follows its body is away from it.
         EmptyShapeError: There is no marker.
         PointsOutsideGridError: A marker is outside the grid.
 
@@ -141,6 +141,8 @@ class Boundary:
             fields={"area": vectors, "area0": vectors}, axisymmetric=points.axisymmetric,
         )  # fmt: skip
         check_outward(points, markers["x"], markers["area"], self.name)
+        if follows:
+            mark_far(points, markers, self.name)
         # laws with varying parameters have fields of the same names at points and markers
         markers.symbols.laws = points.laws
         mark = {**markers.dx.metadata(), "boundary": self}

@@ -73,8 +73,10 @@ def by_measure(
                 continue
             if number != points.number:
                 raise FormError(
-                    f"the term '{brief(integral.integrand())}' is integrated over material points "
-                    "that the problem does not move"
+                    f"the term '{brief(integral.integrand())}' is integrated over other material "
+                    "points than those that the problem moves: a form belongs to the points that "
+                    "it was made with; make it anew with these points, or give the problem the "
+                    "points of the form"
                 )
             at_points.append(integral)
         else:

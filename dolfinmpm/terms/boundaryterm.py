@@ -19,8 +19,9 @@ from dolfinmpm.assembly.term import NewState, Term
 from dolfinmpm.basis import LeafBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import deformation, in_section
-from dolfinmpm.body.boundary import APART, OWN, Boundary
+from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
+from dolfinmpm.body.markerdistance import APART
 from dolfinmpm.body.markerstate import leave_with_removed, take_state
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField

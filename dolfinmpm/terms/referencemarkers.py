@@ -23,8 +23,9 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import in_section
-from dolfinmpm.body.boundary import APART, OWN, Boundary
+from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import bounds, use_configuration
+from dolfinmpm.body.markerdistance import APART
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.walldistance import look_ahead
 
