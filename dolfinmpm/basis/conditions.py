@@ -380,10 +380,6 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
 
 
 def _check_places(what: str, places: Sequence[Any]) -> None:
-    if not places:
-        raise ParameterError(
-            f'{what}: no place is given; give one or more, as in mpm.{what}(space, "bottom")'
-        )
     for place in places:
         if not callable(place) and not isinstance(place, str):
             raise ParameterError(

@@ -181,9 +181,9 @@ class RigidFooting(ReadOnce):
         Shape (gdim,). Of axisymmetric bodies it is the whole force.
 
         Raises:
-            ParameterError: The contact of the footing is in no form.
+            ParameterError: There is a settlement, and the contact of the footing is in no form.
         """
-        if not self._in_contact:
+        if not self._in_contact and self.settlement.value != 0.0:
             raise ParameterError(
                 f"the footing on '{self.surface.name}' has no force: its contact is in no form; "
                 "add it before the problem is made, F += footing.contact(u, v)"

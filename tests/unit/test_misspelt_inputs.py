@@ -32,14 +32,6 @@ def test_a_law_lists_its_arguments():
         MC(30e6, 0.3, cohesion=1e3)
 
 
-@pytest.mark.parametrize("condition", [mpm.rollers, mpm.fixed])
-def test_a_condition_needs_a_place(condition):
-    """The list of conditions had been empty."""
-    _, V, _ = block()
-    with pytest.raises(ParameterError, match="no place is given"):
-        condition(V)
-
-
 def test_reactions_are_of_the_conditions_of_the_problem():
     points, V, F = block()
     problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
