@@ -302,8 +302,8 @@ def _without_terms(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, li
             )
         if term.points is not points:
             raise FormError(
-                f"{term!r} is of other material points than those that the problem moves: make it "
-                "anew with these points"
+                f"{term!r} is of material points that the problem does not move: make it anew "
+                "with these points"
             )
         terms.append(term)
     return (ufl.Form(others), terms) if terms else (form, terms)

@@ -86,8 +86,8 @@ def _fault(problem: Problem, conditions: Sequence[Condition]) -> ParameterError 
         if not any(condition is one for one in problem.essential_conditions.given):
             return ParameterError(
                 f"the condition at '{getattr(condition, 'where', shown(condition))}' is no "
-                "condition of this problem: give the same object as to the problem, bottom = mpm.fixed(V, "
-                '"bottom") made once for both, or conditions from `problem.bcs`'
+                "condition of this problem: give the same object as to the problem, bottom = "
+                'mpm.fixed(V, "bottom") made once for both, or conditions from `problem.bcs`'
             )
         if not any(condition.space is space for space in moving):
             return ParameterError(
