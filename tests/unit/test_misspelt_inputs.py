@@ -101,3 +101,27 @@ def test_the_density_is_over_first_volumes():
     mpm.QuasiStatic(
         F + weight / ufl.det(points.F) * points.dx, V.increment, points, mpm.fixed(V, "bottom")
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "advice"),
+    [
+        ("x;y;volume;density\n0.3;0.3;0.01;1800\n", "delimiter=';'"),
+        ("x;y;volume;density\n0,3;0,3;0,01;1800\n", "delimiter=';'"),
+        ("x\ty\tvolume\tdensity\n0.3\t0.3\t0.01\t1800\n", r"delimiter='\\t'"),
+        ('x,y,volume,density\n"0,3",0.3,0.01,1800\n', "decimals with a point"),
+    ],
+)
+def test_a_table_with_other_marks_is_told(tmp_path, text, advice):
+    points, _, _ = block()
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=advice):
+        mpm.MaterialPoints.from_csv(points.grid, path)
+
+
+def test_a_step_is_no_longer_than_the_whole_time():
+    """Swapped arguments had been a single step."""
+    with pytest.raises(ParameterError, match=r"the order is times\(end, dt\)"):
+        list(mpm.times(0.1, 10.0))
+    assert list(mpm.times(0.1, 0.2)) == [0.1]
