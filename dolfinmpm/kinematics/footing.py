@@ -169,7 +169,8 @@ class RigidFooting(ReadOnce):
         """Gaps that the penalty left in the last step (m), shape (points on this rank, gdim)."""
         n = self.surface.normal
         # a value that is set for the next step has moved nothing yet
-        settled = float(reached(self.settlement))
+        settled = reached(self.settlement)
+        assert settled is not None
         gap = self.surface.points[self._motion.name] + settled * n
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
