@@ -243,9 +243,11 @@ def trace_constants(
         None
         if lost is None
         else StateError(
-            f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
-            "a stabilisation: Nitsche's method has no finite penalty there; add "
-            'stabilisation="ghost" or "aggregation" (explicit steps: "aggregation"), or penalty'
+            f"the cell of '{boundary.name}' at {lost} m has no stiffness, neither of material "
+            "points nor of a stabilisation: Nitsche's method has no finite penalty there. If the "
+            "body does not reach this place, move the boundary to the body, or give follows=False "
+            'for a wall that waits for it. Else add stabilisation="ghost" or "aggregation" '
+            '(explicit steps: "aggregation"), or penalty'
         ),
     )
     return constants

@@ -22,6 +22,7 @@ from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.markerdistance import APART, mark_far
 from dolfinmpm.body.markergeometry import (
     check_outward,
     level_set_markers,
@@ -65,7 +66,7 @@ class Boundary:
         area: Area vectors, area times outward unit normal (m^(d-1)), shape (n, gdim). For
             axisymmetric bodies the area goes around the axis: 2π r times the length of the
             section (m²). Other constructors compute the vectors.
-        follows: Whether the markers move with the body; otherwise they do not move.
+        follows: Whether the markers move with the body, and go with points that are removed.
         name: Name in messages and checkpoints.
         activates: Whether the cells of the markers become active, as for the boundary of a body.
             Otherwise a marker acts while material points are in its cell, as for a wall. By
@@ -79,13 +80,15 @@ class Boundary:
         late: Whether the body had moved before the boundary was made.
         tiles: Whether each marker is the middle of a segment with the marker's length. The
             segments together are the boundary.
+        heeded: Number of calls of `points.remove` after which the markers were looked at.
         forces: Names of the markers' fields with the forces of conditions on the body in the last
             step (N), see `force`.
         ds: Measure over the markers.
 
     Raises:
         FieldShapeError: An array has another shape.
-        ParameterError: A value is not finite, an area is zero, or the normals point into the body.
+        ParameterError: A value is not finite, an area is zero, the normals point into the body, or
+            a boundary that follows its body is away from it.
         EmptyShapeError: There is no marker.
         PointsOutsideGridError: A marker is outside the grid.
 
@@ -129,6 +132,7 @@ class Boundary:
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
         self.tiles = False
+        self.heeded = len(points.removals)
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next_number(points.grid, 'boundary')}"
@@ -137,6 +141,8 @@ class Boundary:
             fields={"area": vectors, "area0": vectors}, axisymmetric=points.axisymmetric,
         )  # fmt: skip
         check_outward(points, markers["x"], markers["area"], self.name)
+        if follows:
+            mark_far(points, markers, self.name)
         # laws with varying parameters have fields of the same names at points and markers
         markers.symbols.laws = points.laws
         mark = {**markers.dx.metadata(), "boundary": self}
@@ -163,9 +169,8 @@ class Boundary:
 
     def present(self) -> npt.NDArray[np.bool_]:
         """Which markers are near the body, shape (markers,)."""
-        if "apart" not in self.markers.fields:
-            return np.ones(len(self.markers), bool)
-        return self.markers["apart"] == 0.0
+        apart = self.markers.fields.get(APART)
+        return np.ones(len(self.markers), bool) if apart is None else apart == 0.0
 
     def __repr__(self) -> str:
         return f"Boundary '{self.name}'"

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_outward", "level_set_markers", "put_inside", "revolved", "rows_of", "segment_markers",
-    "segments_of", "side_markers", "triangle_markers", "triangles_of",
+    "segments_of", "share_within", "side_markers", "triangle_markers", "triangles_of",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -52,6 +52,8 @@ _MOST_PIECES = 1e7
 # Sizes of a point within which points count, and how many times more of them must be in front of
 # the markers than behind: within a body as many are on both sides
 _NEAR, _MORE = 1.25, 4.0
+# and the least ratio of what is on both sides of a marker within a body
+_BOTH = 0.5
 
 
 def revolved(points: Any, x: Array, area: Array) -> tuple[Array, Array]:
@@ -349,23 +351,8 @@ def check_outward(points: MaterialPoints, x: Array, area: Array, name: str) -> N
     Raises:
         ParameterError: It is inside out.
     """
-    amounts = np.zeros(2)
-    placed = points.placement()
-    largest = points.comm.allreduce(float(placed.volume.max(initial=0.0)), op=MPI.MAX)
-    size = largest ** (1 / points.gdim)
-    # a marker between two cells may be on another rank than the points beside it
-    everywhere = points.comm.allgather((x, area))
-    x, area = (np.concatenate(rows) for rows in zip(*everywhere))
-    if len(points) and len(x):
-        from scipy.spatial import cKDTree
-
-        near = cKDTree(points["x"]).query_ball_point(x, _NEAR * size)
-        of = np.repeat(np.arange(len(x)), [len(found) for found in near])
-        rows = np.concatenate([np.asarray(found, np.intp) for found in near])
-        ahead = np.sum((points["x"][rows] - x[of]) * area[of], axis=1)
-        volume = placed.volume[rows] * np.linalg.norm(area[of], axis=1)
-        amounts[:] = volume[ahead > 0].sum(), volume[ahead < 0].sum()
-    front, behind = points.comm.allreduce(amounts, op=MPI.SUM)
+    amounts = volumes_beside(points, x, area)[0]
+    front, behind = amounts.sum(axis=0)
     if front > _MORE * behind:
         raise ParameterError(
             f"the boundary '{name}' is inside out: the body is where its normals point, and they "
@@ -373,3 +360,38 @@ def check_outward(points: MaterialPoints, x: Array, area: Array, name: str) -> N
             "a hole, triangles whose right-handed turn points outwards, a phi that is negative in "
             "the body, or area vectors the other way"
         )
+
+
+def volumes_beside(points: MaterialPoints, x: Array, area: Array) -> tuple[Array, Array]:
+    """Volumes of the nearby points in front of and behind the markers of all ranks. Collective.
+
+    Returns:
+        Volumes times areas of the markers, shape (markers, 2), and areas, shape (markers,).
+    """
+    placed = points.placement()
+    largest = points.comm.allreduce(float(placed.volume.max(initial=0.0)), op=MPI.MAX)
+    size = largest ** (1 / points.gdim)
+    # a marker between two cells may be on another rank than the points beside it
+    everywhere = points.comm.allgather((x, area))
+    x, area = (np.concatenate(rows) for rows in zip(*everywhere))
+    sizes = np.linalg.norm(area, axis=1)
+    amounts = np.zeros((len(x), 2))
+    if len(points) and len(x):
+        from scipy.spatial import cKDTree
+
+        near = cKDTree(points["x"]).query_ball_point(x, _NEAR * size)
+        of = np.repeat(np.arange(len(x)), [len(found) for found in near])
+        rows = np.concatenate([np.asarray(found, np.intp) for found in near])
+        ahead = np.sum((points["x"][rows] - x[of]) * area[of], axis=1)
+        volume = placed.volume[rows] * sizes[of]
+        for column, here in enumerate((ahead > 0, ahead < 0)):
+            np.add.at(amounts[:, column], of[here], volume[here])
+    points.comm.Allreduce(MPI.IN_PLACE, amounts, op=MPI.SUM)
+    return amounts, sizes
+
+
+def share_within(points: MaterialPoints, x: Array, area: Array) -> float:
+    """Share of a boundary that has the body on both sides. Collective."""
+    amounts, sizes = volumes_beside(points, x, area)
+    within = amounts.min(axis=1) > _BOTH * amounts.max(axis=1)
+    return float(sizes[within].sum() / sizes.sum())

@@ -11,14 +11,15 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.exchange import exchange
+from dolfinmpm.body.markerdistance import APART
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["keys_of", "nearest", "take_state"]
+__all__ = ["keys_of", "leave_with_removed", "nearest", "take_state"]
 
 Array = npt.NDArray[np.float64]
 
 # What is of the markers themselves
-_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area", "area0", OWN})
+_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area", "area0", OWN, APART})
 # Where the point is that the state is of, for markers that ask
 _PLACE = {"body_x": "x", "body_l": "l", "body_x0": "x0"}
 # Points that are as near as another but for this share are equally near: one of them is chosen by
@@ -55,6 +56,34 @@ def take_state(boundary: Boundary, tags: Tags = None) -> None:
             markers.fields[name][...] = values
         else:
             markers.fields[name] = values
+
+
+def leave_with_removed(boundary: Boundary) -> None:
+    """Let markers go whose nearest points were removed since the last call. Collective.
+
+    The boundary of a body ends where the body is taken away. Its markers would else go on with the
+    state of points far from them.
+
+    Args:
+        boundary: A boundary that follows its body.
+    """
+    points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
+    removals = points.removals[boundary.heeded :]
+    boundary.heeded = len(points.removals)
+    if not removals:
+        return
+    total = markers.configuration == "total"
+    x = "x0" if total else "x"
+    at = np.concatenate(comm.allgather(markers[x]))
+    gone = np.concatenate(removals)[:, int(total)]
+    distances = np.array([nearest(rows, np.zeros(len(rows)), at)[0] for rows in (points[x], gone)])
+    comm.Allreduce(MPI.IN_PLACE, distances, op=MPI.MIN)
+    lost = distances[1] < distances[0] * (1 - _SAME)
+    first = sum(comm.allgather(len(markers))[: comm.rank])
+    if lost.any():
+        if APART not in markers.fields:
+            markers.add_field(APART)
+        markers.fields[APART][lost[first : first + len(markers)]] = 1.0
 
 
 def nearest(x: Array, key: Array, at: Array):

@@ -115,6 +115,7 @@ def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
         )
     if change.count:
         before = _faces(points)
+        points.removals.append(np.stack([points["x"][going], points["x0"][going]], axis=1))
         with counted(points):
             points.fields.update({name: a[~going] for name, a in points.fields.items()})
             _changed(points)
@@ -161,13 +162,21 @@ def _chosen(points: MaterialPoints, where: Any, tag: int | None) -> npt.NDArray[
         where = choose("where", where, points["x"])
     chosen = np.asarray(where)
     if chosen.dtype != bool:
-        raise ParameterError(f"`where` should be or give booleans, got {chosen.dtype}")
+        raise ParameterError(
+            f"`where` should be or give booleans, got {_named(where, chosen)}; compare "
+            'positions, as in points["x"][:, 1] > 2.0, or take a shape, shape.contains(points["x"])'
+        )
     if chosen.shape != (n,):
         raise FieldShapeError(
             f"`where` should be {n} booleans, one for each point of this rank, got the shape "
             f"{chosen.shape}"
         )
     return chosen
+
+
+def _named(where: Any, chosen: Array) -> str:
+    """What was given in place of booleans."""
+    return type(where).__name__ if chosen.dtype == object else str(chosen.dtype)
 
 
 def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:

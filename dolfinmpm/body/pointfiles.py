@@ -44,6 +44,14 @@ def _nothing(gdim: int) -> dict[str, Any]:
     return {"x": np.empty((0, gdim)), "volume": none, "density": none, "id": none.astype(np.int64)}
 
 
+def _advice(names: list[str], cell: str = "") -> str:
+    """What to do about a table with another delimiter, or with decimal commas, for messages."""
+    for mark in (";", "\t"):
+        if any(mark in name for name in names):
+            return f"; give delimiter={mark!r}"
+    return "; write decimals with a point" if "," in cell else ""
+
+
 def _table(path: Any, delimiter: str) -> tuple[list[str], Array, list[int]]:
     """Names and values of a table, shape (lines, columns), and where in the file the lines are."""
     reader = csv.reader(text_of("path", path).splitlines(), delimiter=delimiter)
@@ -63,7 +71,7 @@ def _table(path: Any, delimiter: str) -> tuple[list[str], Array, list[int]]:
         if len(row) != len(names):
             raise ParameterError(
                 f"{path}, line {line}: {len(row)} columns, but the first line names {len(names)}: "
-                f"{', '.join(names)}"
+                f"{', '.join(names)}{_advice(names)}"
             )
     try:
         return names, np.array(rows, float).reshape(len(rows), len(names)), lines
@@ -75,6 +83,7 @@ def _table(path: Any, delimiter: str) -> tuple[list[str], Array, list[int]]:
                 except ValueError:
                     raise ParameterError(
                         f"{path}, line {line}, column '{name}': {cell!r} is not a number"
+                        f"{_advice(names, cell)}"
                     ) from None
         raise
 

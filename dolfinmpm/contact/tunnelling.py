@@ -13,7 +13,14 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import OverlapWarning, ParameterError, raise_together, warn
+from dolfinmpm._platform.errors import (
+    IdleConditionWarning,
+    OverlapWarning,
+    ParameterError,
+    raise_together,
+    warn,
+)
+from dolfinmpm.body.location import bounds
 from dolfinmpm.contact.bodymotion import Pose
 from dolfinmpm.contact.corners import ALL, CornerLayout, Rows, Which, longest
 from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
@@ -283,6 +290,7 @@ def warn_of_overlap(active: Any) -> None:
     """
     contact, layout = active.contact, active.layout
     contact.begun = True
+    _warn_of_distance(contact)
     gap, rows = active.start.gap, active.corners.rows
     deep = gap < -_OVERLAP * layout.reach(rows)
     found = np.array([-gap[deep].min(initial=0.0), np.unique(rows[deep]).size])
@@ -295,6 +303,21 @@ def warn_of_overlap(active: Any) -> None:
             f"{largest:.3g} m: the contact pushes them out from the first step on. Fill the body "
             "beside it, or move the rigid body by that much",
             OverlapWarning,
+        )
+
+
+def _warn_of_distance(contact: RigidContact) -> None:
+    """Warn of a body that begins further from the grid than the grid is long."""
+    body, (low, high) = contact.body, bounds(contact.points.grid)
+    at = body.start.shift
+    gaps = np.maximum(body.surface.low + at - high, low - body.surface.high - at)
+    distance, length = float(np.linalg.norm(np.maximum(gaps, 0.0))), float((high - low).max())
+    if distance > length:
+        warn(
+            contact.points.comm,
+            f"'{body.name}' begins {distance:.4g} m outside the grid, which is {length:.4g} m "
+            "long, and touches nothing there: check its place, and the unit of its lengths (m)",
+            IdleConditionWarning,
         )
 
 

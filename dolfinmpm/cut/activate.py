@@ -277,6 +277,7 @@ class _Builder:
         if not all(of.boundary.activates for of in terms.boundaries):
             both = self.boundaries, self._once
             self.boundaries = in_active_cells(terms.boundaries, *both, bodies)
+        if any(len(one.rows) < len(one.seen.x) for one in self.boundaries.values()):
             seen = (one.seen.of(one.rows) for one in self.boundaries.values())
             where = concatenated([bodies, *seen])
         self._where = where

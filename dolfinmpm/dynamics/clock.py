@@ -39,6 +39,8 @@ Array = npt.NDArray[np.float64]
 
 # Steps of a run that nobody would wait for
 _MOST = 10**9
+# A step that is longer than the whole time by this factor is a mistake
+_SWAPPED = 10.0
 
 # First step of a chosen length, as a share of the whole time
 _FIRST = 1e-3
@@ -115,8 +117,9 @@ def times(
             changes fields between the steps.
 
     Raises:
-        ParameterError: The times do not increase, or are too many. Or dt is given together with
-            several times, at_once is not positive, or a pass of an automatic loop took no step.
+        ParameterError: The times do not increase, or are too many. Or dt is far longer than the
+            whole time, or given together with several times; at_once is not positive; or a pass of
+            an automatic loop took no step.
 
     >>> import dolfinmpm as mpm
     >>> [round(float(t), 3) for t in mpm.times(0.3, dt=0.1)]
@@ -139,6 +142,11 @@ def times(
             raise ParameterError(f'dt = {shown(dt)} must be a time in s or "auto"')
         return _chosen(start, end, label, at_once)
     step = number("dt", dt, 0.0, math.inf, "s")
+    if step > _SWAPPED * (end - start):
+        raise ParameterError(
+            f"dt = {step:g} s is the length of a step, and the whole time up to end = {end:g} s is "
+            f"{end - start:g} s: the order is times(end, dt)"
+        )
     # rounding must not add a step
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
     if count > _MOST:

@@ -13,7 +13,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formsigns import FACETS
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.operators import PointOperator
-from dolfinmpm.forms.termqueries import SPATIAL_DERIVATIVES, brief, check_solved_for
+from dolfinmpm.forms.termqueries import SPATIAL_DERIVATIVES, brief, check_solved_for, summands
 
 __all__ = ["by_measure", "check_derivatives"]
 
@@ -74,8 +74,11 @@ def by_measure(
             if number != points.number:
                 raise FormError(
                     f"the term '{brief(integral.integrand())}' is integrated over material points "
-                    "that the problem does not move"
+                    "that the problem does not move: a form belongs to the points that it was made "
+                    "with; make it anew with these points, or give the problem the points of the "
+                    "form"
                 )
+            _check_density(integral)
             at_points.append(integral)
         else:
             _check_ordinary(integral, spaces)
@@ -87,6 +90,20 @@ def by_measure(
                 )
             ordinary.append(integral)
     return at_points, at_markers, ordinary
+
+
+def _check_density(integral) -> None:
+    """Refuse the density, mass per first volume, times present volumes: the mass would change."""
+    if integral.metadata().get("volume") != "V":
+        return
+    for term in summands(integral.integrand()):
+        names = {c.name for c in extract_coefficients(term) if isinstance(c, PointField)}
+        if "density" in names and not names & {"F", "V", "V0"}:
+            raise FormError(
+                f"the term '{brief(term)}' has points.density, the mass per first volume, over "
+                "points.dx, the present volumes: the mass would change as the body is compressed; "
+                "integrate over points.dX, or divide by the volume change, ufl.det(points.F)"
+            )
 
 
 def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
@@ -110,7 +127,8 @@ def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
         if isinstance(c, (PointField, PointOperator)):
             raise FormError(
                 f"'{c}' lives at the material points, but '{brief(integral.integrand())}' is "
-                f"integrated over the grid ({integral.integral_type()}); use points.dX or points.dx"
+                f"integrated over the grid ({integral.integral_type()}); use points.dX, the first "
+                "volumes, or points.dx, the present ones"
             )
         if not isinstance(c, fem.Function):
             raise FormError(f"the coefficient '{c}' has no values; use dolfinx.fem.Function")

@@ -301,7 +301,10 @@ def _without_terms(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, li
                 "forces do and is added: write F += mpm.contact(...)"
             )
         if term.points is not points:
-            raise FormError(f"{term!r} is of material points that the problem does not move")
+            raise FormError(
+                f"{term!r} is of material points that the problem does not move: make it anew "
+                "with these points"
+            )
         terms.append(term)
     return (ufl.Form(others), terms) if terms else (form, terms)
 

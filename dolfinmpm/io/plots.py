@@ -156,6 +156,16 @@ def check_limits(limits: Any) -> None:
         raise ParameterError(f"limits = {shown(limits)} must rise, from the lowest to the highest")
 
 
+def _components(shape: tuple[int, ...]) -> str:
+    """The components that a field of a shape has, in words."""
+    if len(shape) == 1:
+        return f"give a direction from 0 to {shape[0] - 1}, such as 1 for y"
+    if len(shape) == 2:
+        words = ', "mean" or "mises"' if shape == (3, 3) else ""
+        return f"give a pair of directions from 0, such as (1, 1) for yy{words}"
+    return "leave it out"
+
+
 def check_colour(points, colour, component, cut, view) -> None:
     """Raise ParameterError if the points lack a field, component or direction of `plot`."""
     known = [*points.fields, "displacement"]
@@ -169,7 +179,10 @@ def check_colour(points, colour, component, cut, view) -> None:
         fits = len(shape) <= 2 and (not index or len(index) == len(shape))
         fits = fits and all(_is_index(i, n) for i, n in zip(index, shape))
     if not fits:
-        raise ParameterError(f"component = {component!r} does not fit '{colour}' of shape {shape}")
+        raise ParameterError(
+            f"component = {component!r} does not fit '{colour}' of shape {shape}: "
+            f"{_components(shape)}"
+        )
     pair = isinstance(cut, (tuple, list)) and len(cut) == 2
     if cut is not None and not (points.gdim == 3 and pair and cut[0] in tuple(_AXES)):
         raise ParameterError(f'cut = {shown(cut)} must be as ("y", 0.5), for points in 3D')

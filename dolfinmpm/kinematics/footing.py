@@ -19,7 +19,7 @@ from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CarriedField
-from dolfinmpm.grid.constants import begin_at_zero, own_constant
+from dolfinmpm.grid.constants import begin_at_zero, own_constant, reached
 from dolfinmpm.grid.lattice import cell_size
 
 __all__ = ["RigidFooting", "motions_under_footings", "refuse_footings"]
@@ -136,6 +136,7 @@ class RigidFooting(ReadOnce):
         points.add_field(motion, (points.gdim,), "m")
         self._motion = FaceMotion(points, motion, (points.gdim,), "m")
         self._motion.surface = surface
+        self._in_contact = False
 
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""
@@ -155,6 +156,7 @@ class RigidFooting(ReadOnce):
         """
         surface = self.surface
         check_displacement(surface.points, u=u)
+        self._in_contact = True
         n = ufl.as_vector([float(c) for c in surface.normal])
         self._motion.update = self._motion + surface.at(u)
         gap = self._motion.update + self.settlement * n
@@ -164,24 +166,38 @@ class RigidFooting(ReadOnce):
         return surface.term(-self._k * gap, v, name, once=True)
 
     def gaps(self) -> Array:
-        """Gaps that the penalty leaves (m), shape (points on this rank, gdim)."""
+        """Gaps that the penalty left in the last step (m), shape (points on this rank, gdim)."""
         n = self.surface.normal
-        gap = self.surface.points[self._motion.name] + float(self.settlement.value) * n
+        # a value that is set for the next step has moved nothing yet
+        settled = reached(self.settlement)
+        assert settled is not None
+        gap = self.surface.points[self._motion.name] + settled * n
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 
     @collective
     def reaction(self) -> Array:
-        """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
+        """Force of the footing on the body in the last step (N; N/m in plane strain). Collective.
 
-        Of axisymmetric bodies it is the whole force.
+        Shape (gdim,). Of axisymmetric bodies it is the whole force.
+
+        Raises:
+            ParameterError: There is a settlement, and the contact of the footing is in no form.
         """
+        if not self._in_contact and self.settlement.value != 0.0:
+            raise ParameterError(
+                f"the footing on '{self.surface.name}' has no force: its contact is in no form; "
+                "add it before the problem is made, F += footing.contact(u, v)"
+            )
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)
 
     @collective
     def load(self) -> float:
-        """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
+        """Force that presses the footing into the body (N; N/m in plane strain). Collective.
+
+        It is that of the last step, and 0 before the first one; see `reaction`.
+        """
         return float(-self.reaction() @ self.surface.normal)
 
 

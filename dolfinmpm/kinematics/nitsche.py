@@ -46,6 +46,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.markergeometry import share_within
 from dolfinmpm.body.surfaceloads import area_at_end, own_grid, pressure_of
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import begin_at_zero, first_step_share, mark_moving, own_constant
@@ -64,6 +65,8 @@ METHODS = ("nitsche", "skew", "penalty")
 # Penalties in units of M/h where none is given: what a penalty alone leaves of the gap is a
 # thousandth of a cell's extension; the skew method is stable with any.
 _PENALTY = {"skew": 1.0, "penalty": 1e3}
+# Share of a boundary with the body on both sides that its corners may have
+_WITHIN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +206,8 @@ def dirichlet(
 
     Raises:
         ParameterError: An argument is not valid; `penalty` and `stiffness_per_area` are both
-            given; or the law is missing.
+            given; the law is missing; or the body is on both sides of the boundary, and the method
+            is not "penalty".
         FormError: A problem raises it if the body has a pore pressure and Nitsche's method has not.
 
     The left face lies within cells, and moves by one centimetre:
@@ -236,6 +240,8 @@ def dirichlet(
             'law = None goes only with method="penalty" and a stiffness_per_area (Pa/m); give the '
             "law of the body at the boundary"
         )
+    if method != "penalty":
+        _refuse_within(boundary, method)
     onto = _projection(boundary, direction)
     shape = (d,) if direction is None else ()
     name = f"dirichlet{len(boundary.forces) + 1}"
@@ -272,6 +278,23 @@ def dirichlet(
         for name in (f"{TRACE}_x", f"{TRACE}_cell"):
             markers.add_field(name, (d,), "m")
     return condition_form(condition, term, "the condition (mpm.dirichlet)")
+
+
+def _refuse_within(boundary: Boundary, method: str) -> None:
+    """Raise ParameterError for a boundary through a body: it has two sides, with two tractions."""
+    points, markers = boundary.points, boundary.markers
+    tagged = points.comm.allgather(np.unique(points["tag"]))
+    if len(np.unique(np.concatenate(tagged))) > 1:
+        # bodies that touch may have fields of their own
+        return
+    share = share_within(points, markers["x"], markers["area"])
+    if share > _WITHIN:
+        raise ParameterError(
+            f"{100 * share:.0f} % of the boundary '{boundary.name}' run through the body, with "
+            f'material points on both sides, and method="{method}" takes the traction of one side: '
+            'give method="penalty", whose force is that of both sides; or leave a slot in the body '
+            "that is wider than a cell, with a boundary along each side"
+        )
 
 
 def _of_water(boundary: Boundary, p: Any, u: Expr, method: str, strain: str) -> Expr:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import math
 from collections import UserDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
@@ -129,6 +131,13 @@ class Parametrised:
         if isinstance(own, dict):
             # they are those of all laws of the class
             cls.parameters = ReadOnly(own)
+
+    def __new__(cls, *numbers: Any, **values: Any):
+        """Refuse unknown arguments: Python's own error would propose "nu" for "su"."""
+        known = inspect.signature(cls.__init__).parameters
+        if not any(one.kind is one.VAR_KEYWORD for one in known.values()):
+            _refuse_unknown(cls.__name__, values, list(known)[1:])
+        return super().__new__(cls)
 
     def __init__(self, **values: Value):
         given_parameters: Any = self.parameters
@@ -266,3 +275,14 @@ class Parametrised:
             for name, value in self.__dict__.get("values", {}).items()
         )
         return f"{type(self).__name__}({inside})"
+
+
+def _refuse_unknown(law: str, given: Iterable[str], known: list[str]) -> None:
+    """Raise ParameterError for arguments that a law does not have."""
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            raise ParameterError(
+                f"{law} has no argument {name}{f'; did you mean {near[0]}?' if near else ''}; it "
+                f"has {', '.join(known)}"
+            )

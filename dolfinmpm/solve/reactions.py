@@ -85,8 +85,9 @@ def _fault(problem: Problem, conditions: Sequence[Condition]) -> ParameterError 
     for condition in conditions:
         if not any(condition is one for one in problem.essential_conditions.given):
             return ParameterError(
-                f"{shown(condition)} is no condition of this problem: give conditions from its "
-                "`bcs`"
+                f"the condition at '{getattr(condition, 'where', shown(condition))}' is no "
+                "condition of this problem: give the same object as to the problem, bottom = "
+                'mpm.fixed(V, "bottom") made once for both, or conditions from `problem.bcs`'
             )
         if not any(condition.space is space for space in moving):
             return ParameterError(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from dolfinmpm._platform.html import listing
+from dolfinmpm.solve.bodyrecords import BodyRecords
 
 __all__ = ["Failed", "Step", "StepRecord"]
 
@@ -72,7 +74,8 @@ class StepRecord:
             see `Problem.adapt`.
         bodies: Name of a rigid body → "position" of its centre (m), "angle" (degrees), and "force"
             (N) and "moment" (N m) of the points on the body. Also name of a contact between
-            deformable bodies → "force" (N) on the first body.
+            deformable bodies → "force" (N) on the first body. They are lists that calculate as
+            arrays.
     """
 
     iterations: int = 0
@@ -87,7 +90,10 @@ class StepRecord:
     stages: dict[str, float] = field(default_factory=dict)
     split: int = 0
     merged: int = 0
-    bodies: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    bodies: dict[str, dict[str, Any]] = field(default_factory=BodyRecords)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, BodyRecords(value) if name == "bodies" else value)
 
     def add(self, iterations: int, residuals: list[float], linear_iterations: list[int]) -> None:
         """Add a solution of a substep.

@@ -21,7 +21,8 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
-from dolfinmpm.body.markerstate import take_state
+from dolfinmpm.body.markerdistance import APART
+from dolfinmpm.body.markerstate import leave_with_removed, take_state
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.activeboundaries import active_boundary_regions
@@ -94,6 +95,8 @@ class BoundaryTerm(Term):
         if markers.partition is not points.partition:
             markers.partition = points.partition
             markers.locate()
+        if self.boundary.follows:
+            leave_with_removed(self.boundary)
         if self._of.stateful:
             take_state(self.boundary, self._of.tags)
         if markers.configuration == "total" and not self.boundary.follows:
@@ -178,7 +181,13 @@ class BoundaryTerm(Term):
 
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore markers from `state`, on any number of ranks. Collective."""
-        markers, names = self.markers, self._kept
+        markers = self.markers
+        if APART in values and APART not in markers.fields:
+            markers.add_field(APART)
+        elif APART in markers.fields:
+            markers.fields[APART][...] = 0.0
+        self.boundary.heeded = len(self.boundary.points.removals)
+        names = [name for name in self._kept if name != APART or name in values]
         markers.partition = self.boundary.points.partition
         order = values.get("order")
         if order is not None:
@@ -225,6 +234,10 @@ class ActiveBoundaryTerm(Evaluation):
         """Fields that conditions set at the markers, for the present increments, by name."""
         fields: dict[str, Array] = {}
         self._of.updates.run(self, fields)
+        boundary = self._of.boundary
+        if boundary.follows and APART in boundary.markers.fields:
+            for name in fields.keys() & set(boundary.forces):
+                fields[name][~boundary.present()] = 0.0
         return fields
 
     def follow(self, new: NewState, step: int) -> None:

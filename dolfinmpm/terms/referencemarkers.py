@@ -25,6 +25,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import bounds, use_configuration
+from dolfinmpm.body.markerdistance import APART
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.walldistance import look_ahead
 
@@ -63,7 +64,7 @@ def require_reference(boundaries: Sequence[Any], contacts: Sequence[Any]) -> Non
                 )
             look_ahead(boundary)
             markers.add_field("body_x0", (boundary.gdim,), "m")
-            markers.add_field("apart")
+            markers.add_field(APART)
         elif OWN not in markers.fields:
             moved = not np.array_equal(markers["x"], markers["x0"])
             if boundary.late or markers.comm.allreduce(moved, op=MPI.LOR):
@@ -99,5 +100,5 @@ def reference_wall(boundary: Boundary) -> None:
         # a marker must not lie on the axis
         low = np.maximum(low, [_INWARD * largest_cell(grid), -np.inf])
     markers["x0"] = np.clip(markers["body_x0"] + way, low, high)
-    markers["apart"] = apart.astype(float)
+    markers[APART] = apart.astype(float)
     markers.locate()

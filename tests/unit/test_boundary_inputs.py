@@ -52,7 +52,8 @@ def _bad():
 
     def empty_cell():
         corner = mpm.fill(grid, mpm.Box((0.0, 0.0), (0.2, 0.2)), 2, 1.0)
-        far = B.from_polygon(corner, [(0.6, 0.6), (0.7, 0.6)], closed=False)
+        ends = [(0.6, 0.6), (0.7, 0.6)]
+        far = B.from_polygon(corner, ends, closed=False, follows=False, activates=True)
         form = mpm.momentum(LAW, corner, u, v) + mpm.dirichlet(far, u, v, law=LAW)
         mpm.QuasiStatic(form, u, corner).activate()
 
