@@ -30,6 +30,7 @@ __all__ = [
     "FieldShapeError",
     "FormError",
     "FreeAxisWarning",
+    "HeldLoadWarning",
     "IdleConditionWarning",
     "ImbalanceWarning",
     "InstabilityError",
@@ -152,6 +153,10 @@ class IdleConditionWarning(DolfinMPMWarning):
 
 class FreeAxisWarning(DolfinMPMWarning):
     """An axisymmetric body reaches the axis without a radial condition there."""
+
+
+class HeldLoadWarning(DolfinMPMWarning):
+    """A load acts on a face that a condition holds by Nitsche's method."""
 
 
 class DegreesWarning(DolfinMPMWarning):

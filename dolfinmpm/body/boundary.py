@@ -21,7 +21,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.formsigns import PRESSURE, signed_form
 from dolfinmpm.body.markergeometry import (
     check_outward,
     level_set_markers,
@@ -372,7 +372,7 @@ class Boundary:
         check_displacement(self.points, u=u, v=v)
         p = pressure_of(self.points, p)
         work = p * ufl.dot(area_at_end(self.markers, self.normal, u), v)
-        return signed_form(work, self.ds, f"the pressure on '{self.name}'")
+        return signed_form(work, self.ds, f"the pressure on '{self.name}'", kind=PRESSURE)
 
     @collective
     def force(self) -> Array:
