@@ -34,6 +34,7 @@ __all__ = [
     "IdleConditionWarning",
     "ImbalanceWarning",
     "InstabilityError",
+    "LongPiecesWarning",
     "LostMomentumWarning",
     "MigrationError",
     "MissingPackageError",
@@ -169,6 +170,10 @@ class DifferentProblemWarning(DolfinMPMWarning):
 
 class DriftingRecordWarning(DolfinMPMWarning):
     """A recorded motion does not come to rest at its end, or steps pass over its waves."""
+
+
+class LongPiecesWarning(DolfinMPMWarning):
+    """The pieces of a boundary are longer than the leaves of a refined space there."""
 
 
 class LostMomentumWarning(DolfinMPMWarning):

@@ -77,6 +77,7 @@ class Boundary:
             (the length of `area`), and fields for the state of the nearest material point.
         follows, name, activates: The arguments.
         late: Whether the body had moved before the boundary was made.
+        longest: Greatest length of the pieces beside the cells that cut them (m); 0 if not known.
         tiles: Whether each marker is the middle of a segment with the marker's length. The
             segments together are the boundary.
         forces: Names of the markers' fields with the forces of conditions on the body in the last
@@ -128,7 +129,7 @@ class Boundary:
         at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
-        self.tiles = False
+        self.tiles, self.longest = False, 0.0
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next_number(points.grid, 'boundary')}"
@@ -213,7 +214,7 @@ class Boundary:
         x, area = segment_markers(points.grid, ends, spacing, whole("rule", rule, 1))
         x, area = revolved(points, x, area)
         made = cls(points, x, area, follows=follows, name=name, activates=activates)
-        made.tiles = rule == 1
+        made.tiles, made.longest = rule == 1, spacing or np.inf
         return made
 
     @classmethod
@@ -244,7 +245,9 @@ class Boundary:
         word, axis, end = side_of(side, points.gdim)
         lattice = require_lattice(points.grid, "a boundary at a side of the grid")
         made = revolved(points, *side_markers(lattice, axis, end, whole("rule", rule, 1), spacing))
-        return cls(points, *made, follows=False, name=name or word, activates=False)
+        wall = cls(points, *made, follows=False, name=name or word, activates=False)
+        wall.longest = spacing or np.inf
+        return wall
 
     @classmethod
     @collective
