@@ -253,6 +253,7 @@ class Scene:
         if args.refine:
             levels, across, up = roots(args)
             self.refined |= {"refine": near_tip(self.cone, args), "levels": levels}
+            self.refined["per_cell"] = args.points_per_cell
         else:
             across, up = graded(args)
             self.finest = min(np.diff(line).min() for line in (across, up))

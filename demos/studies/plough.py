@@ -157,6 +157,7 @@ class Scene:
             levels, lines = roots(args, self.bed)
             self.bed = np.array([lines[0][-1], lines[1][-1], -lines[2][0]])
             self.refined = {"refine": near_share(self.plough, args), "levels": levels}
+            self.refined["per_cell"] = args.points_per_cell
         else:
             self.across, self.refined = self.zoned(behind, ahead), {}
             lines = self.lines()

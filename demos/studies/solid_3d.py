@@ -88,7 +88,8 @@ def run(n, cut, nu):
         def size(x):
             return 0.3 * np.linalg.norm(x.T - 1.0, axis=1)
 
-        V = refine = mpm.Space(grid, args.basis, refine=size, levels=args.levels)
+        own = {"refine": size, "levels": args.levels, "per_cell": args.points_per_cell}
+        V = refine = mpm.Space(grid, args.basis, **own)
     points = mpm.fill(grid, body, args.points_per_cell, density, refine=refine)
     u, v = V.increment, V.test
     gravity = fem.Constant(grid, (0.0, 0.0, 0.0))

@@ -212,6 +212,24 @@ def UnreadOptionWarning():
     problem(points, V, *mpm.fixed(V, "bottom"), *down, petsc_options={"ksp_tpye": "cg"}).step()
 
 
+def HeldLoadWarning():
+    points, V = block()
+    base = mpm.Boundary.from_polygon(points, [(0, 0), (1, 0)], closed=False)
+    F = mpm.momentum(SOIL, points, V.increment, V.test)
+    F += mpm.dirichlet(base, V.increment, V.test, law=SOIL)
+    F += base.pressure(1e3, V.increment, V.test)
+    mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
+
+
+def LongPiecesWarning():
+    points, _ = block()
+    V = mpm.Space(points.grid, "gimp", refine=lambda x: np.full(x.shape[1], 0.1), levels=1)
+    base = mpm.Boundary.from_polygon(points, [(0, 0), (1, 0)], closed=False)
+    F = mpm.momentum(SOIL, points, V.increment, V.test)
+    F += mpm.dirichlet(base, V.increment, V.test, law=SOIL)
+    mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost").step()
+
+
 def DriftingRecordWarning():
     pulse = mpm.InputMotion([0.0, 1.0, 2.0], acceleration=[0.0, 1.0, 0.0])
     pulse(3.0)

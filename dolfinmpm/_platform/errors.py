@@ -30,9 +30,11 @@ __all__ = [
     "FieldShapeError",
     "FormError",
     "FreeAxisWarning",
+    "HeldLoadWarning",
     "IdleConditionWarning",
     "ImbalanceWarning",
     "InstabilityError",
+    "LongPiecesWarning",
     "LostMomentumWarning",
     "MigrationError",
     "MissingPackageError",
@@ -154,6 +156,10 @@ class FreeAxisWarning(DolfinMPMWarning):
     """An axisymmetric body reaches the axis without a radial condition there."""
 
 
+class HeldLoadWarning(DolfinMPMWarning):
+    """A load acts on a face that a condition holds by Nitsche's method."""
+
+
 class DegreesWarning(DolfinMPMWarning):
     """An angle may be in radians instead of degrees, or the reverse."""
 
@@ -164,6 +170,10 @@ class DifferentProblemWarning(DolfinMPMWarning):
 
 class DriftingRecordWarning(DolfinMPMWarning):
     """A recorded motion does not come to rest at its end, or steps pass over its waves."""
+
+
+class LongPiecesWarning(DolfinMPMWarning):
+    """The pieces of a boundary are longer than the leaves of a refined space there."""
 
 
 class LostMomentumWarning(DolfinMPMWarning):

@@ -21,7 +21,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.formsigns import PRESSURE, signed_form
 from dolfinmpm.body.markerdistance import APART, mark_far
 from dolfinmpm.body.markergeometry import (
     check_outward,
@@ -78,6 +78,7 @@ class Boundary:
             (the length of `area`), and fields for the state of the nearest material point.
         follows, name, activates: The arguments.
         late: Whether the body had moved before the boundary was made.
+        longest: Greatest length of the pieces beside the cells that cut them (m); 0 if not known.
         tiles: Whether each marker is the middle of a segment with the marker's length. The
             segments together are the boundary.
         heeded: Number of calls of `points.remove` after which the markers were looked at.
@@ -131,8 +132,7 @@ class Boundary:
         at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
-        self.tiles = False
-        self.heeded = len(points.removals)
+        self.tiles, self.longest, self.heeded = False, 0.0, len(points.removals)
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next_number(points.grid, 'boundary')}"
@@ -218,7 +218,7 @@ class Boundary:
         x, area = segment_markers(points.grid, ends, spacing, whole("rule", rule, 1))
         x, area = revolved(points, x, area)
         made = cls(points, x, area, follows=follows, name=name, activates=activates)
-        made.tiles = rule == 1
+        made.tiles, made.longest = rule == 1, spacing or np.inf
         return made
 
     @classmethod
@@ -249,7 +249,9 @@ class Boundary:
         word, axis, end = side_of(side, points.gdim)
         lattice = require_lattice(points.grid, "a boundary at a side of the grid")
         made = revolved(points, *side_markers(lattice, axis, end, whole("rule", rule, 1), spacing))
-        return cls(points, *made, follows=False, name=name or word, activates=False)
+        wall = cls(points, *made, follows=False, name=name or word, activates=False)
+        wall.longest = spacing or np.inf
+        return wall
 
     @classmethod
     @collective
@@ -377,7 +379,7 @@ class Boundary:
         check_displacement(self.points, u=u, v=v)
         p = pressure_of(self.points, p)
         work = p * ufl.dot(area_at_end(self.markers, self.normal, u), v)
-        return signed_form(work, self.ds, f"the pressure on '{self.name}'")
+        return signed_form(work, self.ds, f"the pressure on '{self.name}'", kind=PRESSURE)
 
     @collective
     def force(self) -> Array:

@@ -99,7 +99,7 @@ def fill(
             energies are for the whole body.
         refine: A refined space, or None. The leaves that it wants now are divided instead of the
             cells of the grid. Points in leaves are families, as if larger points had split, see
-            `mpm.families`.
+            `mpm.families`. `per_cell` must be that of the space, or None there.
 
     Raises:
         ParameterError: An argument is not valid, or so few points cannot have the exact volume.
@@ -135,7 +135,7 @@ def fill(
         x, volume, half, cell, key = _divide_box(grid, lattice, shape, per_cell)
     else:
         divide = _cut if exact else _whole_parts
-        parts = _parts(grid, lattice_of(grid), shape, per_cell, _refinement(grid, refine))
+        parts = _parts(grid, lattice_of(grid), shape, per_cell, _refinement(grid, refine, per_cell))
         x, volume, half, cell, key = divide(grid, parts, shape)
     if grid.comm.allreduce(len(x), op=MPI.SUM) == 0:
         raise EmptyShapeError(
@@ -215,12 +215,18 @@ def _check_inside(grid: Mesh, shape: Shape) -> None:
         )
 
 
-def _refinement(grid: Mesh, space: Any) -> Refinement | None:
+def _refinement(grid: Mesh, space: Any, per_cell: int) -> Refinement | None:
     """The refinement of a space, checked."""
     if space is None:
         return None
     if not isinstance(space, Space) or space.grid is not grid:
         raise ParameterError(f"refine = {shown(space)} must be a mpm.Space on this grid")
+    if space.refinement is not None and space.per_cell not in (None, per_cell):
+        raise ParameterError(
+            f"per_cell = {per_cell}, and points follow the leaves of the space with per_cell = "
+            f"{space.per_cell}: they would split or merge to that number before the first step; "
+            f"give both the same, as in Space(..., per_cell={per_cell})"
+        )
     return space.refinement
 
 

@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import ufl
 from ufl.core.expr import Expr
 
-__all__ = ["FACETS", "MARK", "SignMark", "signed_form", "unmarked"]
+__all__ = ["FACETS", "MARK", "PRESSURE", "SignMark", "signed_form", "unmarked"]
 
 # Name of the mark in the metadata of a measure
 MARK = "acting"
 # Name of the number of the points in the metadata of measures over their cells and facets
 FACETS = "facets"
+# Kind of the mark of a load along the normal of its face
+PRESSURE = "pressure"
 
 
 @dataclass(frozen=True, repr=False)
@@ -29,7 +31,8 @@ class SignMark:
         name: Name of the form in messages.
         integrand: Integrand with its original sign.
         once: Whether a weak form may contain the form only once.
-        kind: What must differ between forms of the same name, if a form may have several.
+        kind: What must differ between forms of the same name, if a form may have several; or
+            PRESSURE.
     """
 
     name: str

@@ -34,7 +34,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.formsigns import signed_form
+from dolfinmpm.body.formsigns import PRESSURE, signed_form
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surfacechecks import axis_of, check_exposed, error_on_axis, numbers_of
 from dolfinmpm.body.surfaceloads import pressure_of, vector_of
@@ -318,7 +318,7 @@ class Surface:
         if points.axisymmetric:
             face *= self.position(u)[0] / (points.x0 + self.offset)[0]
         work = p * ufl.dot(face, v) / points.V0
-        return signed_form(work, self.dX, f"the pressure on '{self.name}'")
+        return signed_form(work, self.dX, f"the pressure on '{self.name}'", kind=PRESSURE)
 
     def mean(self, direction, w) -> ufl.Form:
         """Mean over the initial area of w(x_s) · direction, a form linear in w.

@@ -7,10 +7,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import ufl
+from mpi4py import MPI
+from ufl.algorithms import extract_arguments
 
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import FormError, HeldLoadWarning, warn
 from dolfinmpm._platform.plainvalues import plain_value
+from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.formsigns import MARK, PRESSURE
 from dolfinmpm.body.points import PointField
+from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.kinematics.nitsche import WeakCondition
@@ -20,7 +28,15 @@ from dolfinmpm.terms.boundaryterm import BoundaryTerm
 __all__ = ["check_boundary_conditions"]
 
 
+Array = npt.NDArray[np.float64]
+# Largest distance of a load from the plane of a held face, in sizes of its piece
+_NEAR = 1e-3
+# Cosines of the angles at which two faces are one, and at which a direction is across a load
+_SAME, _ACROSS = 0.99, 0.1
+
+
 def check_boundary_conditions(
+    form: ufl.Form,
     boundaries: Sequence[BoundaryTerm],
     declarations: Sequence[Declaration],
     carried: Sequence[PointField],
@@ -29,14 +45,19 @@ def check_boundary_conditions(
 
     Nitsche's method balances the traction of the body. Figures are wrong if it does so twice, or
     with the traction of another law or without that of water, and nothing else shows the error.
+    Collective.
 
     Args:
+        form: Weak form of the user.
         boundaries: Terms over boundaries.
         declarations: Laws of the body.
         carried: Fields that the points carry.
 
     Raises:
         FormError: There is such a condition.
+
+    Warns:
+        HeldLoadWarning: A load acts on a face that Nitsche's method holds.
     """
     for of in boundaries:
         for one, other in itertools.combinations(of.conditions, 2):
@@ -50,6 +71,7 @@ def check_boundary_conditions(
             if isinstance(condition, WeakCondition) and condition.exact:
                 _check_law(condition, declarations)
                 _check_water(condition, carried)
+                _warn_of_loads(condition, form)
 
 
 def _tags_of(condition: Any) -> Any:
@@ -110,3 +132,74 @@ def _check_water(condition: WeakCondition, carried: Sequence[PointField]) -> Non
             "water would push the body off the boundary; give pore_pressure=p, the pressure of "
             'mpm.poromechanics, or method="penalty"'
         )
+
+
+def _warn_of_loads(condition: WeakCondition, form: ufl.Form) -> None:
+    """Warn if a load acts on a face that a condition holds. Collective.
+
+    The method balances the traction of the body alone, and so the penalty carries such a load.
+    """
+    held, told = condition.boundary, set()
+    for integral in form.integrals():
+        mark = integral.metadata() or {}
+        face = mark.get("surface") or mark.get("boundary")
+        vectors = [v for v in extract_arguments(integral.integrand()) if v.ufl_shape != ()]
+        if face is None or "condition" in mark or not vectors or id(face) in told:
+            continue
+        pressure = getattr(mark.get(MARK), "kind", None) == PRESSURE
+        if face.points is held.points and _meet(condition, face, pressure):
+            told.add(id(face))
+            load = mark.get(MARK, f"a load on '{face.name}'")
+            warn(
+                held.points.comm,
+                f"{load} acts where {condition!r} holds the "
+                f'body. method="{condition.method}" balances the traction of the body, and so the '
+                "penalty alone carries this load: the face gives way. Leave the load out (the "
+                'force of the boundary is then less by as much), or take method="penalty"',
+                HeldLoadWarning,
+            )
+
+
+def _meet(condition: WeakCondition, face: Surface | Boundary, pressure: bool) -> bool:
+    """Whether a load acts on the face of a condition, along a component that it holds. Collective.
+
+    Of a traction the direction is not known before the steps: conditions of one component are then
+    taken to leave it free.
+    """
+    from scipy.spatial import cKDTree
+
+    along, held, comm = condition.direction, condition.boundary, condition.boundary.points.comm
+    meets = False
+    if along is None or pressure:
+        (x, n, sizes), (at, normal, own) = _pieces(held), _pieces(face)
+        if len(x) and len(at):
+            _, near = cKDTree(x).query(at)
+            size = np.maximum(sizes[near], own)
+            apart = at - x[near]
+            off = np.abs(np.sum(apart * n[near], axis=1))
+            aside = np.sqrt(np.maximum(np.sum(apart**2, axis=1) - off**2, 0.0))
+            one = np.sum(normal * n[near], axis=1) > _SAME
+            one &= (off < _NEAR * size) & (aside < 0.5 * size)
+            if along is not None and not isinstance(along, str):
+                axis = np.asarray(along, float) / np.linalg.norm(along)
+                one &= np.abs(normal @ axis) > _ACROSS
+            meets = bool(one.any())
+    return bool(comm.allreduce(meets, op=MPI.LOR))
+
+
+def _pieces(face: Surface | Boundary) -> tuple[Array, Array, Array]:
+    """Middles of a face's pieces (m), their unit normals, and their sizes (m)."""
+    if isinstance(face, Boundary):
+        x, area = face.markers["x"], face.markers["area"]
+    else:
+        points = face.points
+        rows = np.any(points[face.area.name] != 0.0, axis=1)
+        F = in_section(points, points["F"][rows])
+        x = points["x"][rows] + np.einsum("pij,pj->pi", F, points[face.offset.name][rows])
+        area = np.linalg.solve(np.swapaxes(F, 1, 2), points[face.area.name][rows][:, :, None])
+        area = np.linalg.det(F)[:, None] * area[:, :, 0]
+    size = np.linalg.norm(area, axis=1)
+    normal = area / size[:, None]
+    if face.points.axisymmetric:
+        size = size / (2 * np.pi * x[:, 0])
+    return x, normal, size ** (1 / max(x.shape[1] - 1, 1))

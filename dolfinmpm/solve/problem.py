@@ -145,7 +145,7 @@ class Problem(Uncopied, ReadOnce):
         check_field_tags(self.fields, self.form)
         setup.refuse_held_faces(form, self.form)
         parts = self.form.parts
-        check_boundary_conditions(self.form.boundaries, parts.declarations, parts.carried)
+        check_boundary_conditions(form, self.form.boundaries, parts.declarations, parts.carried)
         rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
         self.bodies = RigidBodies(rigid)
         self.bodies.check_steps(scheme.in_time, type(self).__name__)

@@ -10,7 +10,12 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
+from dolfinmpm._platform.errors import (
+    LongPiecesWarning,
+    PointsOutsideGridError,
+    raise_together,
+    warn,
+)
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.nitschepenalty import trace_constants
 from dolfinmpm.assembly.pointupdates import PointUpdates
@@ -37,6 +42,8 @@ __all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
 Array = npt.NDArray[np.float64]
 # Constants of cells with a stabilisation are kept while the boundary moves less than this share
 _STILL = 0.02
+# Length of a piece, in leaves, from which it is too long; leaves are halves, and may be oblong
+_LONG = 1.5
 # Least penalty of Nitsche's method where the body has F-bar, in units of M/h: 5 let a cavity in
 # yielding clay bulge, 10 did not
 _SHARED = 20.0
@@ -61,7 +68,7 @@ class BoundaryTerm(Term):
             {name: e for c in of.conditions for name, e in c.updates.items()},
             of.regions, spaces, of.boundary.markers,
         )  # fmt: skip
-        self._in_time = False
+        self._in_time, self._told = False, False
         self._weights: Any = None
 
     @property
@@ -131,6 +138,7 @@ class BoundaryTerm(Term):
         markers = self.markers
         rows = np.sort(here.fields[0].of_markers[markers.number].order)
         first = here.fields[0]
+        self._warn_of_long_pieces(first)
         self._set_walls()
         for condition in self.conditions:
             condition.prepare(rows, _sizes(self.boundary, first))
@@ -154,6 +162,32 @@ class BoundaryTerm(Term):
                     M = condition.declaration.elastic.moduli()[:, 0]
                     k = np.maximum(k, _SHARED * M / _sizes(self.boundary, first)[of_law])
                 markers[condition.stiffness][of_law] = k
+
+    def _warn_of_long_pieces(self, field: ActiveField) -> None:
+        """Warn once if leaves are smaller than the pieces of the boundary. Collective.
+
+        Nodes of such leaves get wrong shares of a piece, and stresses beside it swing.
+        """
+        boundary, comm = self.boundary, self.markers.comm
+        lattice = lattice_of(boundary.points.grid)
+        if self._told or lattice is None or not isinstance(field.basis, LeafBasis):
+            return
+        if boundary.longest < _LONG * field.space.finest_cell:
+            return
+        at = enumerate(lattice.cells_at(boundary.seen).T)
+        edges = np.array([np.diff(lattice.lines[d])[cells] for d, cells in at])
+        pieces = np.minimum(boundary.longest, np.prod(edges, axis=0) ** (1 / len(edges)))
+        sizes = _sizes(boundary, field)
+        least = float(sizes[pieces > _LONG * sizes].min(initial=np.inf))
+        least = comm.allreduce(least, op=MPI.MIN)
+        if least < np.inf:
+            self._told = True
+            warn(
+                comm,
+                f"pieces of the boundary '{boundary.name}' are longer than leaves there "
+                f"({least:.3g} m): stresses beside it swing. Make it with spacing={least:.3g}",
+                LongPiecesWarning,
+            )
 
     def energy(self) -> tuple[float, float]:
         """See `Term`: of its walls. Collective."""

@@ -37,6 +37,20 @@ def test_fill_by_leaves_knows_only_the_leaves_of_the_shape():
     assert asked[0] == 2.0
 
 
+def test_steps_keep_the_number_of_points_per_leaf():
+    """Points of a fill with 4 had merged to 2 before the first step, without a message."""
+    grid = lattice(2)
+    V = mpm.Space(grid, "gimp", refine=lambda x: 0.5 + 0 * x[0], levels=1)
+    for n in (1, 4):
+        with pytest.raises(mpm.errors.ParameterError, match=f"per_cell={n}"):
+            mpm.fill(grid, mpm.Box((0, 0), (2, 1)), n, 1e3, refine=V)
+    V = mpm.Space(grid, "gimp", refine=lambda x: 0.5 + 0 * x[0], levels=1, per_cell=4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 1)), 4, 1e3, refine=V)
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.2), points, V.increment, V.test)
+    mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "left")).step()
+    assert points.total == 4 * 2 * 4**2
+
+
 @pytest.mark.parametrize("gdim", [2, 3])
 def test_points_of_leaves_are_families_that_merge(gdim):
     """A fill of leaves is what splits of larger points would have made."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 
 import numpy as np
@@ -60,7 +61,10 @@ def test_a_wall_at_a_side_holds_leaves_as_on_a_fine_grid(gdim):
         bcs = mpm.prescribed(V, "left", 0, increment=0.01) + mpm.rollers(V, "bottom")
         if gdim == 3:
             bcs += mpm.rollers(V, "front", "back")
-        mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-10).step()
+        problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-10)
+        told = pytest.warns(mpm.errors.LongPiecesWarning, match="spacing=0.5")
+        with told if levels and spacing is None else contextlib.nullcontext():
+            problem.step()
         return wall.force(), np.sort(points["stress"][:, 0, 0])
 
     fine, same, rough = (pushed(*case) for case in ((0, None), (1, 0.5), (1, None)))
@@ -96,3 +100,34 @@ def test_pieces_of_an_oblique_polygon_are_no_longer_than_asked():
     length = sum(np.hypot(*np.subtract(b, a)) for a, b in itertools.pairwise(ends))
     assert line.total_area == pytest.approx(length, rel=1e-14)
     assert line.markers["V"].max() <= 0.11 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("spacing", [None, 0.25, 0.125])
+def test_pieces_longer_than_leaves_are_told(spacing):
+    """Stresses beside a base within leaves were off by a fifth of the weight above it."""
+    h, low = 0.25, 0.08
+    lines = [h * np.arange(5), np.r_[h * np.arange(-1, 7), 3.0]]
+    grid = mpm.create_lattice(MPI.COMM_SELF, lines)
+    V = mpm.Space(grid, "gimp", refine=lambda x: np.where(x[0] > 0.51, h / 2, h), levels=1)
+    points = mpm.fill(grid, mpm.Box((0, low), (1, 1 + low)), 2, 2e3, exact=True, refine=V)
+    u, v, law = V.increment, V.test, mpm.materials.Hencky(1e6, 0.0)
+    F = mpm.momentum(law, points, u, v)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
+    base = mpm.Boundary.from_polygon(points, [(0, low), (1, low)], closed=False, spacing=spacing)
+    F += mpm.dirichlet(base, u, v, law=law, direction="normal")
+
+    def rest(x):
+        stress = np.zeros((x.shape[1], 3, 3))
+        stress[:, 1, 1] = -2e4 * (1 + low - x[1])
+        return stress
+
+    mpm.set_stress(law, points, rest)
+    problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "right"), stabilisation="ghost")
+    if spacing == 0.125:
+        problem.step()
+        assert np.abs(points["stress"] - rest(points["x0"].T)).max() < 0.02 * 2e4
+        return
+    with pytest.warns(mpm.errors.LongPiecesWarning, match=r"spacing=0\.125"):
+        problem.step()
+    # no second message
+    problem.step()

@@ -18,7 +18,7 @@ def on_leaves(gdim, degree, seed=7, levels=3, cells=4):
     """A basis of splines on random leaves all over a grid."""
     grid, rng = refined.lattice(gdim, cells), np.random.default_rng(seed)
     size = refined.random_size(rng, gdim, levels)
-    V = mpm.Space(grid, f"bspline{degree}", refine=size, levels=levels)
+    V = mpm.Space(grid, f"bspline{degree}", refine=size, levels=levels, per_cell=1)
     points = mpm.fill(grid, mpm.Box((0,) * gdim, (cells,) * gdim), 1, 1.0, refine=V)
     V.refinement.update_leaves(points.placement("updated"), True)
     return V, V.refinement.basis(V.basis, 0, None)
@@ -95,7 +95,7 @@ def test_projections_have_the_order_of_the_splines(degree, order):
             apart = np.linalg.norm(x - 0.3 * cells, axis=0) * 4 / cells
             return np.where(apart < 0.8, 0.25, np.where(apart < 1.6, 0.5, 1.0)) * 1.01
 
-        V = mpm.Space(grid, f"bspline{degree}", refine=size, levels=2)
+        V = mpm.Space(grid, f"bspline{degree}", refine=size, levels=2, per_cell=1)
         points = mpm.fill(grid, mpm.Box((0, 0), (cells, cells)), 1, 1.0, refine=V)
         V.refinement.update_leaves(points.placement("updated"), True)
         basis = V.refinement.basis(V.basis, 0, None)
@@ -235,7 +235,7 @@ def test_multigrid_on_leaves_takes_few_iterations():
         return np.maximum(size, 0.3 * np.linalg.norm(x - 3.0, axis=0))
 
     V = mpm.Space(grid, "bspline2", refine=wanted, levels=2)
-    points = mpm.fill(grid, mpm.Box((0, 0, 0), (6, 6, 4.3)), 1, 2000.0, refine=V)
+    points = mpm.fill(grid, mpm.Box((0, 0, 0), (6, 6, 4.3)), 2, 2000.0, refine=V)
     F = mpm.momentum(mpm.materials.Hencky(1e7, 0.3), points, V.increment, V.test)
     F -= ufl.inner(points.density * ufl.as_vector((0.0, 0.0, -10.0)), V.test) * points.dX
     options = {"ksp_type": "cg", "pc_type": "mg"}
