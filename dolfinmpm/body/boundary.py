@@ -52,9 +52,8 @@ OWN = "F_own"
 class Boundary:
     """A boundary of a body, or a wall, that need not fit the grid.
 
-    A boundary consists of markers: quadrature points with area vectors. Each marker has a stencil
-    of its own, so that fields have values and gradients at the marker. At the start of a step,
-    each marker gets the state of the nearest material point, which laws need.
+    A boundary consists of markers: quadrature points with area vectors and stencils of their own.
+    At the start of a step, each marker gets the state of the nearest material point for the laws.
 
     Terms such as the terms of `dirichlet` are integrals over `boundary.ds`, in the configuration
     at the start of the step.
@@ -73,10 +72,9 @@ class Boundary:
             default the same as `follows`.
 
     Attributes:
-        points: Material points of the body.
         markers: The markers as points, with the fields `x`, `x0`, `area` (m^(d-1), a vector), `V`
             (the length of `area`), and fields for the state of the nearest material point.
-        follows, name, activates: The arguments.
+        points, follows, name, activates: The arguments.
         late: Whether the body had moved before the boundary was made.
         longest: Greatest length of the pieces beside the cells that cut them (m); 0 if not known.
         tiles: Whether each marker is the middle of a segment with the marker's length. The
@@ -93,7 +91,7 @@ class Boundary:
         EmptyShapeError: There is no marker.
         PointsOutsideGridError: A marker is outside the grid.
 
-    A boundary through the cells, cut at the grid's lines:
+    A boundary that is cut at the grid's lines:
 
     >>> import dolfinmpm as mpm
     >>> from mpi4py import MPI
@@ -159,10 +157,9 @@ class Boundary:
         return Placement(x, np.zeros_like(x), np.zeros(len(x)), self.markers["cell"])
 
     def deformation(self) -> Array:
-        """Deformation gradients, shape (markers, gdim, gdim).
+        """Deformation gradients from first to present positions, shape (markers, gdim, gdim).
 
-        They turn gradients by first positions into gradients by present positions. A marker of a
-        wall has the deformation gradient of the nearest point.
+        A marker of a wall has the deformation gradient of the nearest point.
         """
         F = self.markers[OWN if self.follows else "F"]
         return np.ascontiguousarray(in_section(self.markers, F))
