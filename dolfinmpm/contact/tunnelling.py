@@ -306,13 +306,17 @@ def warn_of_overlap(active: Any) -> None:
         )
 
 
+# Distance of a body from the grid, in lengths of the grid, that a wrong unit makes: mm are 1000
+_FAR = 30.0
+
+
 def _warn_of_distance(contact: RigidContact) -> None:
-    """Warn of a body that begins further from the grid than the grid is long."""
+    """Warn of a body that begins so far from the grid that its unit of length is another one."""
     body, (low, high) = contact.body, bounds(contact.points.grid)
     at = body.start.shift
     gaps = np.maximum(body.surface.low + at - high, low - body.surface.high - at)
     distance, length = float(np.linalg.norm(np.maximum(gaps, 0.0))), float((high - low).max())
-    if distance > length:
+    if distance > _FAR * length:
         warn(
             contact.points.comm,
             f"'{body.name}' begins {distance:.4g} m outside the grid, which is {length:.4g} m "
