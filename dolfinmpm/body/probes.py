@@ -165,7 +165,7 @@ class Probe:
             raise ParameterError(
                 f"{gone.size} of the {k} material points that {self} follows are gone; the first "
                 f"of them has the first position {self._x0[gone[0]].tolist()} m. Points have been "
-                "removed: make a new probe"
+                "removed, or have split or merged: make a new probe at its present position"
             )
         self._id = table[:, size + 1].astype(np.int64)
         self._seen = self._seen[0], self.points.restored
