@@ -45,17 +45,17 @@ def idle(
     return list(dict.fromkeys(c.where for c, acting in zip(conditions, acts) if not acting))
 
 
-def warn_idle(
-    conditions: Sequence[Condition],
-    spaces: Sequence[Space],
-    active: Sequence[npt.NDArray[np.int32]],
-) -> None:
-    """Warn on rank 0 of conditions that constrain no active node; see `idle`. Collective."""
-    names = idle(conditions, spaces, active)
+def warn_idle(comm: MPI.Intracomm, names: Sequence[str]) -> None:
+    """Warn on rank 0 of conditions that constrain no active node.
+
+    Args:
+        comm: Communicator of the ranks.
+        names: Names of their places, see `idle`.
+    """
     if names:
         places = ", ".join(f"'{name}'" for name in names)
         warn(
-            spaces[0].grid.comm,
+            comm,
             f"the conditions at {places} hold no node that the body moves: the body does not reach "
             "these places now. The conditions do nothing until the body reaches them. Names of "
             "sides mean sides of the grid; give a function of positions to hold the body elsewhere",

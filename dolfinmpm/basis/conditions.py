@@ -134,10 +134,13 @@ def _between_lines(space: Space) -> str:
     )
 
 
-def _nodes(
-    space: Space, where: Where, may_be_empty: bool = False
-) -> tuple[npt.NDArray[np.int32], str]:
-    """Nodes at a place, and the name of the place. Collective."""
+def _nodes(space: Space, where: Where, empty: str = "") -> tuple[npt.NDArray[np.int32], str]:
+    """Nodes at a place, and the name of the place. Collective.
+
+    Args:
+        space, where: See `prescribed`.
+        empty: Name of a place without a name that may hold no node of the grid, or "".
+    """
     x = node_coordinates(space)
     comm, gdim = space.grid.comm, space.grid.geometry.dim
     if not callable(where):
@@ -148,9 +151,9 @@ def _nodes(
     nodes = call_together(comm, lambda: _chosen(space, where))
     low, high = _extent(comm, x[nodes])
     name = getattr(where, "__name__", "<lambda>")
-    if may_be_empty and name == "<lambda>":
-        return nodes, "a place that follows"
-    if not may_be_empty and not np.isfinite(low).all():
+    if empty and name == "<lambda>":
+        return nodes, empty
+    if not empty and not np.isfinite(low).all():
         low, high = _extent(comm, x)
         raise ParameterError(
             f"'{name}' chooses no node of the grid; the nodes lie from {low} to {high} m: check "
@@ -227,7 +230,8 @@ def prescribed(
             f"constant as {kind}: the number of nodes may change from step to step"
         )
     # a place may lie between the nodes of the grid, where leaves have nodes
-    nodes, name = _nodes(space, where, follows or space.refinement is not None)
+    leaves = "" if space.refinement is None else "<lambda>"
+    nodes, name = _nodes(space, where, "a place that follows" if follows else leaves)
     what = f"the {'increment' if kind == 'zero' else kind} prescribed at '{name}'"
     checked = _checked(space, nodes, what, given)
     place = where if follows and callable(where) else None

@@ -10,13 +10,14 @@ on the ranks, or on the order in which points split.
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "MOST_ROOTS", "ROOT_BITS", "ancestors_of", "children_of", "deepest", "levels_of", "parents_of",
-    "places_of", "side_signs",
+    "MERGES", "MOST_ROOTS", "ROOT_BITS", "SPLITS", "ancestors_of", "children_of", "deepest",
+    "levels_of", "parents_of", "places_of", "side_signs",
 ]  # fmt: skip
 
 Numbers = npt.NDArray[np.int64]
@@ -24,6 +25,9 @@ Numbers = npt.NDArray[np.int64]
 ROOT_BITS = 38
 MOST_ROOTS = 1 << ROOT_BITS
 _CODE_BITS = 63 - ROOT_BITS
+# On leaves a point splits if its domain is larger than this share of its part of a leaf, and
+# siblings merge if their parent's domain is smaller than the second share
+SPLITS, MERGES = math.sqrt(2.0), 1.1
 
 
 def side_signs(gdim: int) -> npt.NDArray[np.float64]:

@@ -33,7 +33,7 @@ from dolfinmpm.body.cellparts import (
     check_per_cell,
 )
 from dolfinmpm.body.exchange import numbers_in_order
-from dolfinmpm.body.familyids import ROOT_BITS
+from dolfinmpm.body.familyids import MERGES, ROOT_BITS, SPLITS
 from dolfinmpm.body.location import bounds, destinations
 from dolfinmpm.body.pointchecks import require_grid
 from dolfinmpm.body.points import MaterialPoints
@@ -99,7 +99,8 @@ def fill(
             energies are for the whole body.
         refine: A refined space, or None. The leaves that it wants now are divided instead of the
             cells of the grid. Points in leaves are families, as if larger points had split, see
-            `mpm.families`. `per_cell` must be that of the space, or None there.
+            `mpm.families`. Give the space the same `per_cell`: points would
+            split or merge from half or twice that number.
 
     Raises:
         ParameterError: An argument is not valid, or so few points cannot have the exact volume.
@@ -221,7 +222,10 @@ def _refinement(grid: Mesh, space: Any, per_cell: int) -> Refinement | None:
         return None
     if not isinstance(space, Space) or space.grid is not grid:
         raise ParameterError(f"refine = {shown(space)} must be a mpm.Space on this grid")
-    if space.refinement is not None and space.per_cell not in (None, per_cell):
+    if space.refinement is None or space.per_cell is None:
+        return space.refinement
+    share = space.per_cell / per_cell
+    if share > SPLITS or 2.0 * share < MERGES:
         raise ParameterError(
             f"per_cell = {per_cell}, and points follow the leaves of the space with per_cell = "
             f"{space.per_cell}: they would split or merge to that number before the first step; "

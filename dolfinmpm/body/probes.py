@@ -164,8 +164,8 @@ class Probe:
         if gone.size:
             raise ParameterError(
                 f"{gone.size} of the {k} material points that {self} follows are gone; the first "
-                f"of them has the first position {self._x0[gone[0]].tolist()} m. Points have been "
-                "removed: make a new probe"
+                f"of them has the first position {self._x0[gone[0]].tolist()} m. Points have "
+                "split or merged, or have been removed: make a new probe"
             )
         self._id = table[:, size + 1].astype(np.int64)
         self._seen = self._seen[0], self.points.restored

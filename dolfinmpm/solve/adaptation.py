@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,6 +12,7 @@ from mpi4py import MPI
 
 from dolfinmpm.basis.refinement import Refinement
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.familyids import MERGES, SPLITS
 from dolfinmpm.body.pointfamilies import FamilyChange, families, merge, split
 from dolfinmpm.body.points import MaterialPoints
 
@@ -23,9 +23,6 @@ __all__ = ["Adaptation", "adapt"]
 
 Array = npt.NDArray[np.float64]
 
-# A point splits if its domain is larger than this share of its part of a leaf, and siblings merge
-# if their parent's domain is smaller than the second share. Between them nothing changes.
-_SPLITS, _MERGES = math.sqrt(2.0), 1.1
 # Largest difference of logarithmic strains, and of internal variables, of siblings that merge
 _ALIKE = 0.02
 
@@ -57,14 +54,14 @@ def adapt(problem: Problem) -> Adaptation:
     points, number, joined, energies = problem.points, 0, 0, np.zeros(2)
     levels = max(refinement.levels for refinement in _refinements(spaces))
     for _ in range(levels + 1):
-        which = _sizes(points, spaces) > _SPLITS
+        which = _sizes(points, spaces) > SPLITS
         if not points.comm.allreduce(bool(which.any()), op=MPI.LOR):
             break
         done = split(points, which)
         number += done.count
         energies += _change(done)
     for _ in range(levels):
-        allowed = (2.0 * _sizes(points, spaces) < _MERGES) & (families(points).level > 0)
+        allowed = (2.0 * _sizes(points, spaces) < MERGES) & (families(points).level > 0)
         if not points.comm.allreduce(bool(allowed.any()), op=MPI.LOR):
             break
         done = merge(points, _ALIKE, allowed=allowed)
@@ -98,7 +95,7 @@ def _sizes(points: MaterialPoints, spaces: Sequence[Space]) -> Array:
 
     Points of other fields get a size at which they neither split nor merge.
     """
-    result = np.full(len(points), 0.5 * (_SPLITS + _MERGES))
+    result = np.full(len(points), 0.5 * (SPLITS + MERGES))
     size = 2.0 * np.prod(points["l"], axis=1) ** (1 / points.gdim)
     for space in spaces:
         assert space.refinement is not None

@@ -22,7 +22,6 @@ from dolfinmpm._platform.readonce import ReadList, ReadOnce
 from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.assembly.state import HasState, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.basis.conditionchecks import warn_idle
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.location import use_configuration
 from dolfinmpm.body.meshpartition import warn_of_imbalance
@@ -33,7 +32,6 @@ from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.cut.activate import activate
 from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with_constraints
-from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.pattern import KeptCouplings
 from dolfinmpm.cut.stabilisations import Stabilisation
@@ -63,6 +61,7 @@ from dolfinmpm.solve.problemchecks import (
     check_times,
     refuse_rates,
     warn_of_free_axis,
+    warn_of_idle_conditions,
 )
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
@@ -344,8 +343,7 @@ class Problem(Uncopied, ReadOnce):
             warn_of_free_axis(self.points, self.here)
             # a body that moves in time may reach a side later
             if not self.scheme.in_time:
-                active = [active_on_grid(field) for field in self.here.fields]
-                warn_idle(self.bcs, self.form.spaces, active)
+                warn_of_idle_conditions(self.bcs, self.here.fields)
         return self.here
 
     def _set_penalties(self, here: Activation) -> None:

@@ -22,12 +22,14 @@ from dolfinmpm._platform.errors import (
     warn,
 )
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.basis.conditionchecks import idle
+from dolfinmpm.basis import LeafBasis
+from dolfinmpm.basis.conditionchecks import idle, warn_idle
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import UNSET, MaterialPoints, PointField
-from dolfinmpm.cut.activation import Activation, Field, movers
-from dolfinmpm.cut.activecells import active_on_grid
+from dolfinmpm.cut.activation import Activation, ActiveField, Field, movers
+from dolfinmpm.cut.activecells import active_nodes, active_on_grid
+from dolfinmpm.cut.essentialconditions import on_leaves
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.formchecks import check_moving
 from dolfinmpm.grid.constants import is_own
@@ -44,6 +46,7 @@ __all__ = [
     "refuse_rates",
     "refuse_time",
     "warn_of_free_axis",
+    "warn_of_idle_conditions",
 ]
 
 # A domain reaches the axis if it ends within this share of its half-length from the axis
@@ -239,8 +242,7 @@ def check_pressure_conditions(conditions: Sequence[Condition], here: Activation)
         ParameterError: There is such a condition.
     """
     scalar = [c for c in conditions if c.space.increment.ufl_shape == ()]
-    spaces = [field.space for field in here.fields]
-    names = idle(scalar, spaces, [active_on_grid(field) for field in here.fields])
+    names = _idle(scalar, here.fields)
     if names:
         places = ", ".join(f"'{name}'" for name in names)
         raise ParameterError(
@@ -248,6 +250,29 @@ def check_pressure_conditions(conditions: Sequence[Condition], here: Activation)
             "from there: hold the pressure where the body is, by a function of positions, or on "
             "its own surface, mpm.poromechanics(..., drained=surface)"
         )
+
+
+def warn_of_idle_conditions(conditions: Sequence[Condition], fields: Sequence[ActiveField]) -> None:
+    """Warn on rank 0 of conditions that constrain no active node. Collective."""
+    warn_idle(fields[0].space.grid.comm, _idle(conditions, fields))
+
+
+def _idle(conditions: Sequence[Condition], fields: Sequence[ActiveField]) -> list[str]:
+    """Places whose conditions constrain no active node, also on leaves. Collective."""
+    active = [active_on_grid(field) for field in fields]
+    names = idle(conditions, [field.space for field in fields], active)
+    own = [c for c in conditions if c.place is None and c.space.refinement is not None]
+    acts = np.zeros(len(own), np.int32)
+    for field in fields:
+        mine = [k for k, condition in enumerate(own) if condition.space is field.space]
+        if mine and isinstance(field.basis, LeafBasis):
+            reached = active_nodes(field.full_stencils, field.basis)
+            for k in mine:
+                acts[k] = np.isin(on_leaves(own[k], field.basis).nodes, reached).any()
+    if own:
+        fields[0].space.grid.comm.Allreduce(MPI.IN_PLACE, acts, op=MPI.MAX)
+    names += [c.where for c, acting in zip(own, acts) if not acting]
+    return list(dict.fromkeys(names))
 
 
 def check_pressure_level(operator: Operator) -> None:

@@ -81,3 +81,26 @@ def test_aggregation_without_a_root_nearby(refined):
     problem.step()
     far = points["x"][:, 0] > 12
     assert np.all(points["x"][far, 1] < points["x0"][far, 1])
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_conditions_without_a_node_on_leaves_are_told(basis):
+    """Splines have no node on the line within the grid; on leaves no message had told it."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.arange(5.0)] * 2)
+    V, Q = mpm.Space(grid, basis, **REFINED), mpm.Space(grid, basis, shape=(), **REFINED)
+    points = mpm.fill(grid, mpm.Box((0, 1), (4, 2)), 2, 1e3, refine=V)
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+
+    def line(x):
+        return np.isclose(x[1], 1.0 if basis == "bspline2" else 0.77)
+
+    bcs = mpm.fixed(V, "left") + mpm.prescribed(V, line, 1)
+    with pytest.warns(mpm.errors.IdleConditionWarning, match="'line' hold no node"):
+        mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    F = mpm.poromechanics(
+        LAW, points, (V.increment, Q.increment), (V.test, Q.test), porosity=0.4, permeability=1e-5
+    )
+    bcs = mpm.fixed(V, "left") + mpm.prescribed(Q, line, 0, value=0.0)
+    problem = mpm.Transient(F, [V.increment, Q.increment], points, bcs)
+    with pytest.raises(mpm.errors.ParameterError, match="pressure at 'line' hold no node"):
+        problem.step(1.0)

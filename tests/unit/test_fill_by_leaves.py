@@ -44,6 +44,7 @@ def test_steps_keep_the_number_of_points_per_leaf():
     for n in (1, 4):
         with pytest.raises(mpm.errors.ParameterError, match=f"per_cell={n}"):
             mpm.fill(grid, mpm.Box((0, 0), (2, 1)), n, 1e3, refine=V)
+    assert mpm.fill(grid, mpm.Box((0, 0), (2, 1)), 3, 1e3, refine=V).total == 4 * 2 * 3**2
     V = mpm.Space(grid, "gimp", refine=lambda x: 0.5 + 0 * x[0], levels=1, per_cell=4)
     points = mpm.fill(grid, mpm.Box((0, 0), (2, 1)), 4, 1e3, refine=V)
     F = mpm.momentum(mpm.materials.Hencky(1e6, 0.2), points, V.increment, V.test)
