@@ -47,10 +47,10 @@ Array = npt.NDArray[np.float64]
 # Name of the points' field: M and G (Pa); zero before a law has given values.
 FIELD = "tangent_moduli"
 
-# Least M, as a share of the elastic M. A point on the apex of a cone has no stiffness, and a point
-# that unloads in the next step has the elastic stiffness again. With this bound the local constant
-# exceeds its target at most ten times. Shear alone leaves at least 0.4 in the soils of
-# demos/studies/ghost_parameter.py.
+# Least M and G, as shares of the elastic ones. A point on the apex of a cone has no stiffness, and
+# a point that unloads in the next step has the elastic stiffness again. With this bound the local
+# constant exceeds its target at most ten times. Shear alone leaves at least 0.4 of M in the soils
+# of demos/studies/ghost_parameter.py.
 LEAST = 0.1
 
 # Largest M of laws with F-bar, by the elastic G (M at ν = 1/3). Near incompressibility, F-bar
@@ -182,18 +182,18 @@ def _traces(tangent):
 
 
 def bounded(moduli: Array, elastic: Array, shared: npt.NDArray[np.bool_] | None = None) -> Array:
-    """M within its bounds, and G between 0 and M; shapes (n, 2).
+    """M and G within their bounds, G at most M; shapes (n, 2).
 
     Args:
         moduli: M and G (Pa).
-        elastic: Elastic M and G (Pa). M is at least `LEAST` times the elastic M.
+        elastic: Elastic M and G (Pa). M and G are at least `LEAST` times the elastic ones.
         shared: Whether points share their volume change (F-bar), shape (n,). M is then at most
             `MOST` times the elastic G.
     """
     M = np.maximum(moduli[:, 0], LEAST * elastic[:, 0])
     if shared is not None:
         M = np.where(shared, np.minimum(M, MOST * elastic[:, 1]), M)
-    return np.stack([M, np.clip(moduli[:, 1], 0.0, M)], axis=1)
+    return np.stack([M, np.clip(moduli[:, 1], LEAST * elastic[:, 1], M)], axis=1)
 
 
 def update(modulus: FacetModulus, field: ActiveField) -> None:
