@@ -292,20 +292,23 @@ class BodiesAtSides:
         for V in velocities:
             V[self._fixed] = self._prescribed[self._fixed]
 
-    def absorb(self, velocities: Sequence[Array]) -> None:
+    def absorb(self, before: Sequence[Array], velocities: Sequence[Array]) -> None:
         """Apply dashpots. Bodies at one node share a dashpot in proportion to their masses.
 
         Args:
+            before: Velocities of each body at the start of the step (m/s), likewise.
             velocities: Velocities of each body (m/s), shape (nodes, d) each. Changed.
         """
         if self._faces is None or self._faces.dashpots is None:
             return
         m = sum(body.mass for body in self._bodies)
         rate = self._kick * self._faces.dashpots / np.where(m > 0.0, m, np.inf)[:, None]
-        for V in velocities:
-            V /= 1.0 + rate
+        for V_start, V in zip(before, velocities):
+            V -= 0.5 * rate * V_start
+            V /= 1.0 + 0.5 * rate
             # no side acts on what a condition holds
-            self._absorbed.append(np.where(self._fixed, 0.0, rate * V))
+            mean = 0.5 * (V_start + V)
+            self._absorbed.append(np.where(self._fixed, 0.0, rate * mean))
 
     def stop(self, velocities: Sequence[Array]) -> float:
         """Apply frictional sides and conditions.

@@ -115,7 +115,7 @@ class CollisionSteps(ExplicitBase):
             for body, V, f, g in zip(bodies, before, forces, damped)
         ]
         pushed = [V_end - V for V, V_end in zip(before, after)]
-        sides.absorb(after)
+        sides.absorb(before, after)
         external = sides.stop(after)
         touching = self._touching(bodies, here)
         touching.exchange(after)

@@ -386,12 +386,12 @@ class GeneralSteps(ExplicitBase):
         assert faces.dashpots is not None
         sides = SideDashpots(mass, faces.dashpots, waves, free, step.kick)
         if problem.terms.kind == "consistent":
-            damped, at_side = sides.consistent(V_end)
+            damped, at_side = sides.consistent(V_end, V)
         elif settings.gives_back and (faces.incoming or field.C is not None):
             weight = settings.mass_scaling * point_masses(problem.points)
             damped, at_side = sides.lumped(V_end, V, field.stencils, weight)
         else:
             # as in the fused loop
-            damped = at_side = sides.by_nodes(V_end)
+            damped, at_side = sides.by_nodes(V_end, V)
         self._at_sides = sides, at_side
         return damped

@@ -93,8 +93,11 @@ def move_nodes(
             if dashpots.shape[0] > 0 and m > 0.0:
                 for i in range(d):
                     if not fixed[k, i]:
-                        ends[i] /= 1.0 + kick * dashpots[k, i] / (m * mass_scaling)
-                        resisting[i] += dashpots[k, i] * ends[i]
+                        # dashpots resist the mean of the velocities before and after the forces
+                        y, rate = out[k, i] * per_mass, 0.5 * kick * dashpots[k, i]
+                        rate *= per_mass / mass_scaling
+                        ends[i] = (ends[i] - rate * y) / (1.0 + rate)
+                        resisting[i] += 0.5 * dashpots[k, i] * (y + ends[i])
             if marks.shape[0] > 0 and marks[k] != 0:
                 for i in range(d):
                     taken[k, i] = ends[i]

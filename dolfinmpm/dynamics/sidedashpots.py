@@ -1,12 +1,13 @@
 """Velocities at absorbing sides at the end of an explicit step.
 
-The dashpots act with the velocity that the nodes keep, v = v₁ + B q. Here v₁ is the velocity
-without dashpots, q = Δt (f − C v) the impulse of dashpots C and of incoming waves f, and B the
-velocity by an impulse. With a consistent mass B is M⁻¹. With a lumped mass M_L and "flip", the
-points take the change of the nodes' velocities. They give it back to the nodes in the next step,
-so that B is M_L⁻¹ M M_L⁻¹. B is symmetric, and so is (C⁻¹ + Δt B) q = Δt (C⁻¹ f − v₁). Thus the
-dashpots only take energy, whatever their size. Node by node, B would be M_L⁻¹. Then stiff sides
-make energy, because B C is not what the points feel.
+The dashpots resist the mean of the velocities before and after the step's impulses, ½ (v₀ + v):
+second order in the step. Here v = v₁ + B q, v₁ is the velocity without dashpots, B the velocity by
+an impulse, and q = Δt (f − ½ C (v₀ + v)) the impulse of dashpots C and of incoming waves f. With a
+consistent mass B is M⁻¹. With a lumped mass M_L and "flip", the points take the change of the
+nodes' velocities. They give it back to the nodes in the next step, so that B is M_L⁻¹ M M_L⁻¹. B is
+symmetric, and so is (C⁻¹ + ½ Δt B) q = Δt (C⁻¹ f − ½ (v₀ + v₁)). The impulse works on the same
+mean, so that the dashpots only take energy, whatever their size. Node by node, B would be M_L⁻¹.
+Then stiff sides make energy, because B C is not what the points feel.
 """
 
 from __future__ import annotations
@@ -48,30 +49,34 @@ class SideDashpots:
     free: npt.NDArray[np.bool_]
     dt: float
 
-    def by_nodes(self, V: Array) -> Array:
-        """With a lumped mass: velocities of the nodes, each for itself.
+    def by_nodes(self, V: Array, V_start: Array) -> tuple[Array, Array]:
+        """With a lumped mass: velocities of the nodes, each for itself, and those resisted.
 
         Args:
             V: Velocities without dashpots (m/s), shape (nodes, d).
+            V_start: Velocities at the start of the step (m/s), shape (nodes, d).
         """
         rate = self.dt / np.where(self.mass.lumped > 0, self.mass.lumped, np.inf)[:, None]
-        return (V + rate * self.wave) / (1.0 + rate * self.dashpots)
+        half = 0.5 * rate * self.dashpots
+        V_end = (V + rate * self.wave - half * V_start) / (1.0 + half)
+        return V_end, 0.5 * (V_start + V_end)
 
-    def consistent(self, V: Array) -> tuple[Array, Array]:
-        """With a consistent mass: velocities of the nodes, and those of the sides. Collective.
+    def consistent(self, V: Array, V_start: Array) -> tuple[Array, Array]:
+        """With a consistent mass: velocities of the nodes, and those resisted. Collective.
 
         Args:
             V: Velocities without dashpots (m/s), shape (nodes, d).
+            V_start: Velocities at the start of the step (m/s), shape (nodes, d).
         """
         c, dt, free = self.dashpots, self.dt, self.free
 
         def product(w: Array) -> Array:
-            return free * (self.mass.times(self._known(w)).arrays[0] + dt * c * w)
+            return free * (self.mass.times(self._known(w)).arrays[0] + 0.5 * dt * c * w)
 
         m = np.maximum(self.mass.lumped, 1e-3 * self.mass.lumped.max(initial=0.0))[:, None]
-        w = self._solved(product, m + dt * c, free * dt * (self.wave - c * V))
-        V_end = V + self._known(w)
-        return V_end, V_end
+        mean = 0.5 * (V_start + V)
+        w = self._known(self._solved(product, m + 0.5 * dt * c, free * dt * (self.wave - c * mean)))
+        return V + w, mean + 0.5 * w
 
     def lumped(self, V: Array, V_start: Array, s: Stencils, weight: Array) -> tuple[Array, Array]:
         """With a lumped mass and "flip": velocities as in `consistent`. Collective.
@@ -95,12 +100,12 @@ class SideDashpots:
             return back.arrays[0] / m
 
         def product(q: Array) -> Array:
-            return on * (q / c + dt * kept(q / m))
+            return on * (q / c + 0.5 * dt * kept(q / m))
 
-        at_side = V_start + kept(V - V_start)
-        right = on * dt * (self.wave / c - at_side)
-        q = self._solved(product, np.where(on, 1 / c + 0.5 * dt / m, 1.0), right)
-        return V + self._known(q / m), at_side + kept(q / m)
+        mean = V_start + 0.5 * kept(V - V_start)
+        right = on * dt * (self.wave / c - mean)
+        q = self._solved(product, np.where(on, 1 / c + 0.25 * dt / m, 1.0), right)
+        return V + self._known(q / m), mean + 0.5 * kept(q / m)
 
     def works(self, V: Array, mean: Array) -> tuple[float, float]:
         """Work of the waves, and loss by the dashpots (J). Collective.

@@ -214,6 +214,26 @@ def test_a_side_counts_the_energy_that_it_absorbs():
     assert abs(found["integrator"]) < 0.01 * found.initial
 
 
+@pytest.mark.parametrize("options", [{"mass": "consistent"}, {"stabilisation": "aggregation"}])
+def test_dashpots_are_of_second_order_in_the_step(options):
+    """They resist the mean of the velocities before and after; by those after, the first order."""
+    moved = []
+    for count in (20, 40, 80):
+        grid = mpm.create_lattice(COMM, [np.linspace(0, 2, 9), [0.0, 0.25]])
+        points = mpm.fill(grid, mpm.Box((0, 0), (1.9, 0.25)), 2, 1.0)
+        V = mpm.Space(grid, "linear")
+        F = mpm.momentum(mpm.materials.Hencky(1.0, 0.0), points, V.increment, V.test)
+        sides = mpm.absorbing(V, "left", density=1.0, p_speed=1.0)
+        problem = mpm.Explicit(F, V.increment, points, sides, courant=np.inf, **options)
+        x = points["x"][:, 0]
+        points["velocity"] = np.outer(-1e-5 * np.exp(-(((x - 0.8) / 0.4) ** 2)), (1.0, 0.0))
+        for t in np.linspace(0.0, 1.0, count + 1)[1:]:
+            problem.step(t)
+        moved.append((points["x"] - points["x0"])[np.argsort(points["id"]), 0])
+    first, second = (np.linalg.norm(a - b) for a, b in zip(moved, moved[1:]))
+    assert first / second > 3.4
+
+
 @pytest.mark.parametrize(("scheme", "most"), [("musl", 0.005), ("usf", 0.1)])
 @pytest.mark.parametrize("fused", [False, True])
 def test_long_steps_count_what_a_side_absorbs(fused, scheme, most):
