@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import ufl
@@ -230,7 +232,7 @@ def test_dashpots_are_of_second_order_in_the_step(options):
         for t in np.linspace(0.0, 1.0, count + 1)[1:]:
             problem.step(t)
         moved.append((points["x"] - points["x0"])[np.argsort(points["id"]), 0])
-    first, second = (np.linalg.norm(a - b) for a, b in zip(moved, moved[1:]))
+    first, second = (np.linalg.norm(a - b) for a, b in pairwise(moved))
     assert first / second > 3.4
 
 
