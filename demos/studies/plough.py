@@ -42,7 +42,8 @@
 # 0.19 and 0.15 m in cells of 0.25 and 0.125 m, with 5.2 and 7.7 iterations per step. With less
 # penalty a step takes more iterations: sand that falls into the trench behind the share is at the
 # apex of the yield surface, where the tangent is zero. The number of iterations is sensitive: with
-# `--ghost 2` in the finer cells ten steps are halved. In cells of 0.0625 m (`--step 0.2`) a step takes a minute.
+# `--ghost 2` in the finer cells ten steps are halved. In cells of 0.0625 m (`--step 0.2`) a step
+# takes a minute.
 
 # %%
 from __future__ import annotations
