@@ -29,7 +29,7 @@ from options import natural, option, other_default
 from scene import finish, say
 
 import dolfinmpm as mpm
-from dolfinmpm.cut.penalties import GHOST_MASS_FACTORS
+from dolfinmpm.cut.penalties import GHOST_FACTORS
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Input(Moving):
         super()._check()
         if self.mass == "consistent":
             degree = int(self.basis[-1]) if self.basis.startswith("bspline") else 1
-            self.fill(ghost_mass=0.25 * GHOST_MASS_FACTORS[degree])
+            self.fill(ghost_mass=0.25 * GHOST_FACTORS[degree])
         if len(self.matrix) not in (1, 4):
             raise ValueError("the matrix has one number or four")
 

@@ -69,7 +69,7 @@ class Stabilisation:
         nu: Poisson's ratio, likewise.
         factor: Factor of the ghost penalty, by the laws or in units of E/30, or "adaptive", see
             `ghost`; of "weak-aggregation" in units of E. The default is 1 on linear functions. A
-            ghost penalty has 30 on quadratic and 10⁴ on cubic splines, because their last
+            ghost penalty has 100 on quadratic and 10⁴ on cubic splines, because their last
             functions are much smaller where a body ends. Weak aggregation has 0.3 and 0.1, because
             the weights of continuations are larger.
         scaling: Scaling of the ghost penalty, see `ghost`. The default is "tangent": by the moduli

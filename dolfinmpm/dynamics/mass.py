@@ -18,7 +18,7 @@ from dolfinmpm.assembly.term import Term
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
-from dolfinmpm.cut.penalties import GHOST_MASS_FACTORS, ghost
+from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
@@ -145,7 +145,7 @@ def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> u
         tied = field.constrains_nodes and field.stabilisation.kind != "weak-aggregation"
         # cells beside tied sides look like cut cells, and are whole ones
         tied = tied or hasattr(field.prolongate, "of_basis")
-        factor = 0.0 if tied else 0.25 * GHOST_MASS_FACTORS[space.basis.degree]
+        factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
     if factor == 0:
         return None
     own = points["density"][rows_within(points, space.tags)]

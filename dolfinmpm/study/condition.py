@@ -11,7 +11,7 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.cut.penalties import GHOST_MASS_FACTORS, ghost
+from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.dynamics.mass import MassTerms
 from dolfinmpm.dynamics.nodalmass import Mass
@@ -100,7 +100,7 @@ def conditioning(
         form += extra
     tied: Stabilisation | str = "none"
     if stabilisation.kind == "ghost" and factor > 0:
-        penalty = factor * GHOST_MASS_FACTORS[space.basis.degree] * density / 4
+        penalty = factor * GHOST_FACTORS[space.basis.degree] * density / 4
         form += ghost(points, u, v, penalty, scaling="literal")
     elif stabilisation.kind in ("aggregation", "extended"):
         tied = stabilisation

@@ -129,6 +129,8 @@ def test_equal_pulls_move_the_end_of_a_row_equally(stabilisation):
     assert second == pytest.approx(first, rel=5e-3)
 
 
+# no body is left at the sides
+@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.IdleConditionWarning")
 @pytest.mark.parametrize("refined", [False, True], ids=["cells", "leaves"])
 @pytest.mark.parametrize("basis", ["linear", "gimp", "bspline2"])
 def test_stencils_at_faces_have_unit_sums_and_the_places_of_the_faces(basis, refined):

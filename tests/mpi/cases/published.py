@@ -26,7 +26,8 @@ def umat():
     F -= ufl.inner(points.density * g, V.test) * points.dX
     mpm.set_stress(law, points, mpm.geostatic_stress(6, 1800 * 9.81, 0.5), strain="jaumann")
     loads = [(0.05 * k, -9.81 - 0.5 * k) for k in range(1, 5)]
-    _, figures = run(points, V, F, mpm.fixed(V, "bottom"), loads, g, stabilisation="ghost")
+    options = {"stabilisation": "ghost", "tolerance": 1e-11}
+    _, figures = run(points, V, F, mpm.fixed(V, "bottom"), loads, g, **options)
     return figures | sums(points, "total_strain", "plastic_strain", "elastic_energy")
 
 
