@@ -237,8 +237,7 @@ class Scene:
         args, R = self.args, self.args.radius
         tip, long = -args.start, args.depth + 4 * self.height
         # in water a step takes a second
-        rate = "velocity" if args.law == "cam-clay" else "increment"
-        ahead = 0.0, -self.way
+        rate, ahead = "velocity" if args.law == "cam-clay" else "increment", (0.0, -self.way)
         motion = {"fillet": args.fillet * args.h, "name": "cone"}
         if not self.flat:
             shape = mpm.Cone((0.0, 0.0, tip), R, 30.0, long)

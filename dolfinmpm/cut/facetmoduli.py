@@ -73,7 +73,7 @@ class FacetModulus(fem.Function):
         points: Material points.
         u: Increment of the laws.
         target: Target of the local constant, see `dolfinmpm.assembly.facetpenalties`; None for the
-            P-wave modulus itself.
+            modulus that `part` names.
         scaling: Scaling of the term, see `ghost`.
         part: Which modulus it is without a target: "M", or "G" and "lambda" = M − 2G.
         source: Another modulus of the same term; this one has its M and G.

@@ -7,20 +7,12 @@ import re
 import numpy as np
 import pytest
 import ufl
-from mpi4py import MPI
+from test_body_records import block
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, IdleConditionWarning, ParameterError
 
 MC = mpm.materials.MohrCoulomb
-
-
-def block():
-    """A block, its space and its weak form without loads."""
-    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
-    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
-    V = mpm.Space(grid, "gimp")
-    return points, V, mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
 
 
 def test_a_law_lists_its_arguments():
