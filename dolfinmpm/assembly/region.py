@@ -71,7 +71,6 @@ class Region:
         self.terms, self.part, self.sampled = terms, part, False
         self.failure: PointFailure | None = None
         self._points, self._unknowns = points, unknowns
-        self._rows = np.sort(part.stencils[0].order)
         widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
         self._chunks = _chunks_of(part.stencils[0].groups)
         self._columns: list[int] = [sum(widths[:k]) for k in range(len(widths))]
@@ -308,7 +307,7 @@ class Region:
             out: Written at the region's points, shape (points, size); NaN if the law finds no
                 stress.
         """
-        rows = self._rows
+        rows = np.sort(self.part.stencils[0].order)
         value = np.empty((rows.size, out.shape[1]))
         if self._ask(k, self.operand(k, rows), value, None, rows, None, None) >= 0:
             value[:] = np.nan

@@ -342,7 +342,7 @@ class LatticeBasis:
             np.empty(value_start[-1]), np.empty((value_start[-1], gdim)),
             cell_start, np.empty(cell_start[-1], np.int32),
         )  # fmt: skip
-        known = stencil_loop(self.degree == 1, axisymmetric)(
+        known = stencil_loop(gdim, self.degree == 1, axisymmetric)(
             x, half, *self._lines, halo.origin,
             halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
             halo.cell_table.ravel(), cell_shape,

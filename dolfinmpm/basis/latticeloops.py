@@ -75,8 +75,32 @@ def group_keys(low, count, table_shape, key):
         key[p] = k * 262144 + c
 
 
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def _write_products(gdim, S, dS, at, to, N, dN):
+    """Write value and slopes of a function: products of those of the directions.
+
+    Args:
+        gdim: Number of directions, a constant where this is compiled.
+        S, dS: Values and slopes (1/m) of the functions of each direction.
+        at: Number of the function in each direction.
+        to: Where to write.
+        N, dN: Written.
+    """
+    a, da = S[0, at[0]], dS[0, at[0]]
+    if gdim == 1:
+        N[to], dN[to, 0] = a, da
+        return
+    b, db = S[1, at[1]], dS[1, at[1]]
+    if gdim == 2:
+        N[to], dN[to, 0], dN[to, 1] = a * b, da * b, a * db
+        return
+    c, dc = S[2, at[2]], dS[2, at[2]]
+    N[to] = a * b * c
+    dN[to, 0], dN[to, 1], dN[to, 2] = da * b * c, db * a * c, dc * a * b
+
+
 @functools.cache
-def stencil_loop(linear: bool, axisymmetric: bool):
+def stencil_loop(gdim: int, linear: bool, axisymmetric: bool):
     """The loop that makes stencils; for linear functions it is compiled without splines' code."""
 
     @numba.njit(cache=True, error_model="numpy")
@@ -85,7 +109,6 @@ def stencil_loop(linear: bool, axisymmetric: bool):
         order, groups, low, count, node_start, nodes, value_start, N, dN, cell_start, cells, degree,
         uniform,
     ):  # fmt: skip
-        gdim = x.shape[1]
         S = np.empty((gdim, 64))
         dS = np.empty((gdim, 64))
         part = np.empty(degree + 1)
@@ -145,15 +168,7 @@ def stencil_loop(linear: bool, axisymmetric: bool):
                     )  # fmt: skip
                 start = value_start[g] + (position - groups[g]) * m
                 for a in range(m):
-                    to, product = start + rank[a], 1.0
-                    for d in range(gdim):
-                        product *= S[d, index[a, d]]
-                        slope_d = dS[d, index[a, d]]
-                        for e in range(gdim):
-                            if e != d:
-                                slope_d *= S[e, index[a, e]]
-                        dN[to, d] = slope_d
-                    N[to] = product
+                    _write_products(gdim, S, dS, index[a], start + rank[a], N, dN)
         return known
 
     return kernel

@@ -7,6 +7,7 @@ from collections import UserDict
 from collections.abc import Mapping
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -105,15 +106,30 @@ def checksums(values: Array) -> tuple[float, ...]:
 
     The last one tells most changes of the order, and the halves tell a reversed order.
     """
-    flat = values.ravel()
-    half = flat.size // 2
-    # not by a library that may sum in another order each time
-    return (
-        float(np.add.reduce(flat[:half])),
-        float(np.add.reduce(flat[half:])),
-        float(np.einsum("i,i->", flat, flat)),
-        float(np.einsum("i,i->", flat[:-1], flat[1:])),
-    )
+    return _sums(values.ravel())
+
+
+# compiled code sums in the same order each time, which some libraries do not
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _sums(flat):
+    """See `checksums`; one pass over the values."""
+    half, last = flat.size // 2, flat.size - 1
+    lower = upper = squares = neighbours = 0.0
+    for i in range(half):
+        value = float(flat[i])
+        lower += value
+        squares += value * value
+        neighbours += value * float(flat[i + 1])
+    for i in range(half, last):
+        value = float(flat[i])
+        upper += value
+        squares += value * value
+        neighbours += value * float(flat[i + 1])
+    if last >= 0:
+        value = float(flat[last])
+        upper += value
+        squares += value * value
+    return lower, upper, squares, neighbours
 
 
 def _references() -> int:

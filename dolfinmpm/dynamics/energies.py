@@ -24,6 +24,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.passes import FAST
+from dolfinmpm.grid.tensors import invert
 
 __all__ = [
     "angular_momentum",
@@ -34,6 +35,7 @@ __all__ = [
     "mapping_loss",
     "momentum_of",
     "stress_volumes",
+    "stress_works",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -106,6 +108,42 @@ def stress_volumes(points: MaterialPoints, declarations: Sequence, V: Array) -> 
         if declaration.strain == "small":
             found[declaration.rows] = points["V0"][declaration.rows]
     return found
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def stress_works(H, linear, before, old, after, new):
+    """Works of the stresses before and after a step on the strain of the step (J).
+
+    The strain is the rate of deformation at the middle of the step, H (I + H/2)⁻¹, or H itself in
+    the linear theory, which has no rotations. One pass over the points, because the energies are
+    part of every step.
+
+    Args:
+        H: Gradients of the increment, shape (n, d, d).
+        linear: Whether the linear theory holds, shape (n,).
+        before, after: Volumes on which the stresses act (m^d), shape (n,).
+        old, new: Stresses (Pa), shape (n, 3, 3).
+    """
+    n, d = H.shape[0], H.shape[1]
+    A, inverse = np.empty((d, d)), np.empty((d, d))
+    at_start = at_end = 0.0
+    for p in range(n):
+        for i in range(d):
+            for j in range(d):
+                A[i, j] = 0.0 if linear[p] else 0.5 * H[p, i, j]
+            A[i, i] += 1.0
+        invert(A, inverse)
+        was = now = 0.0
+        for i in range(d):
+            for j in range(d):
+                rate = 0.0
+                for k in range(d):
+                    rate += H[p, i, k] * inverse[k, j]
+                was += old[p, i, j] * rate
+                now += new[p, i, j] * rate
+        at_start += before[p] * was
+        at_end += after[p] * now
+    return at_start, at_end
 
 
 def lateness(net: float, internal: float, grid: float, stress_is_late: bool) -> float:

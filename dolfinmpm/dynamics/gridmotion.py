@@ -33,6 +33,7 @@ from dolfinmpm.dynamics.stepwork import (
 )
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
+from dolfinmpm.grid.tensors import inverses
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 from dolfinmpm.solve.weakform import WeakForm
@@ -289,7 +290,7 @@ class GridMotion:
         if self.mapping.kind == "tpic":
             gather(s, one.motion.V_end, np.empty((len(points), points.gdim)), gradient)
             dF = np.eye(points.gdim) + operator.points.gradient[one.k]
-            gradient = gradient @ np.linalg.inv(dF)
+            gradient = gradient @ inverses(dF)
         return self.mapping.to_points(
             points, field, x_node, one.motion, one.mass, self._step.dt, self.rule.gamma, gradient
         )

@@ -36,6 +36,7 @@ from dolfinmpm.dynamics.energies import (
     kinetic_energy,
     momentum_of,
     stress_volumes,
+    stress_works,
 )
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
@@ -114,21 +115,16 @@ class Work:
             new: Fields of the points after the step.
             operator: The step's equations, at the increments.
         """
-        d, at = points.strain_dim, operator.points
-        H = full_gradient(points, *at.motion(operator.here.movers))
-        # rate of deformation at the middle of the step
-        rate = H @ np.linalg.inv(np.eye(d) + 0.5 * H)
+        H = full_gradient(points, *operator.points.motion(operator.here.movers))
         declarations = operator.form.parts.declarations
         before = stress_volumes(points, declarations, points["V"])
         after = stress_volumes(points, declarations, new["V"])
+        linear = np.zeros(len(points), bool)
         for declaration in declarations:
             if declaration.strain == "small":
-                # the linear theory has no rotations
-                rate[declaration.rows] = H[declaration.rows]
-        sigma = new["stress"] if "stress" in new else points["stress"]
-        old = before[:, None, None] * points["stress"][:, :d, :d]
-        later = after[:, None, None] * sigma[:, :d, :d]
-        both = np.array([np.sum(old * rate), np.sum(later * rate)])
+                linear[declaration.rows] = True
+        old = points["stress"]
+        both = np.array(stress_works(H, linear, before, old, after, new.get("stress", old)))
         points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.SUM)
         self.internal += 0.5 * float(both[0] + both[1])
         self.latest = float(both[1])

@@ -22,6 +22,7 @@ from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import collect, moments, scatter, scatter_affine
+from dolfinmpm.grid.tensors import inverses
 
 __all__ = ["Mapping", "NodalMotion", "mapping_of"]
 
@@ -188,7 +189,7 @@ class Mapping:
         if self.kind != "tpic":
             return new
         gradient = new["velocity_gradient"]
-        turned = gradient @ np.linalg.inv(np.eye(gradient.shape[-1]) + dt * gradient)
+        turned = gradient @ inverses(np.eye(gradient.shape[-1]) + dt * gradient)
         return new | {"velocity_gradient": turned}
 
     def to_points(
@@ -256,7 +257,7 @@ class Mapping:
             return given["velocity_gradient"]
         x, nodes = points["x"], x_node[:, : points.gdim]
         D = moments(s, nodes, x, nodes, x)
-        return given["velocity_moment"] @ np.linalg.inv(D)
+        return given["velocity_moment"] @ inverses(D)
 
     def _filtered(self, points: MaterialPoints, field: ActiveField, V: Array, mass: Mass) -> Array:
         """V_k with V_{j+1} = V_j + M_L⁻¹ (M_L V − M V_j), V_1 = V. Collective."""

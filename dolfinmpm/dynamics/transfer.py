@@ -6,6 +6,8 @@ point p. With an affine part, point p has the value q_p + C_p (x_a − x_p) at n
 
 from __future__ import annotations
 
+import functools
+
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +42,30 @@ def _scatter(order, groups, node_start, nodes, value_start, N, weight, q, out):
                 w = N[at + a] * weight[p]
                 for i in range(components):
                     out[nodes[first + a], i] += w * q[p, i]
+
+
+@functools.cache
+def _scatter_loop(d: int):
+    """The loop of `scatter` for vectors of two or three components, which stay in registers."""
+    three = d == 3
+
+    @numba.njit(cache=True, error_model="numpy")
+    def kernel(order, groups, node_start, nodes, value_start, N, weight, q, out):
+        for g in range(groups.size - 1):
+            first, at = node_start[g], value_start[g]
+            m = node_start[g + 1] - first
+            for position in range(groups[g], groups[g + 1]):
+                p = order[position]
+                x, y, z = q[p, 0], q[p, 1], q[p, 2] if three else 0.0
+                for a in range(m):
+                    node, w = nodes[first + a], N[at + a] * weight[p]
+                    out[node, 0] += w * x
+                    out[node, 1] += w * y
+                    if three:
+                        out[node, 2] += w * z
+                at += m
+
+    return kernel
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -77,6 +103,33 @@ def _collect(order, groups, node_start, nodes, value_start, N, q, out):
                     out[p, i] += N[at + a] * q[nodes[first + a], i]
 
 
+@functools.cache
+def _collect_loop(d: int):
+    """The loop of `collect` for vectors of two or three components, which stay in registers."""
+    three = d == 3
+
+    @numba.njit(cache=True, error_model="numpy")
+    def kernel(order, groups, node_start, nodes, value_start, N, q, out):
+        for g in range(groups.size - 1):
+            first, at = node_start[g], value_start[g]
+            m = node_start[g + 1] - first
+            for position in range(groups[g], groups[g + 1]):
+                x = y = z = 0.0
+                for a in range(m):
+                    node, w = nodes[first + a], N[at + a]
+                    x += w * q[node, 0]
+                    y += w * q[node, 1]
+                    if three:
+                        z += w * q[node, 2]
+                p = order[position]
+                out[p, 0], out[p, 1] = x, y
+                if three:
+                    out[p, 2] = z
+                at += m
+
+    return kernel
+
+
 @numba.njit(cache=True, error_model="numpy")
 def _moments(order, groups, node_start, nodes, value_start, N, q, q_point, r, r_point, out):
     d, e = q.shape[1], r.shape[1]
@@ -97,19 +150,31 @@ def _moments(order, groups, node_start, nodes, value_start, N, q, q_point, r, r_
                         out[p, i, j] += (q[node, i] - q_point[p, i]) * arm
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _scatter_stress(order, groups, node_start, nodes, value_start, dN, stress, out):
-    d = dN.shape[1]
-    for g in range(groups.size - 1):
-        first = node_start[g]
-        m = node_start[g + 1] - first
-        for position in range(groups[g], groups[g + 1]):
-            p = order[position]
-            at = value_start[g] + (position - groups[g]) * m
-            for a in range(m):
+@functools.cache
+def _stress_loop(d: int):
+    """The loop of `scatter_stress` in d dimensions, which are constant when it is compiled."""
+
+    @numba.njit(cache=True, error_model="numpy")
+    def kernel(order, groups, node_start, nodes, value_start, dN, stress, out):
+        sigma = np.empty((d, d))
+        for g in range(groups.size - 1):
+            first, at = node_start[g], value_start[g]
+            m = node_start[g + 1] - first
+            for position in range(groups[g], groups[g + 1]):
+                p = order[position]
                 for i in range(d):
                     for j in range(d):
-                        out[nodes[first + a], i] += stress[p, i, j] * dN[at + a, j]
+                        sigma[i, j] = stress[p, i, j]
+                for a in range(m):
+                    node = nodes[first + a]
+                    for i in range(d):
+                        force = out[node, i]
+                        for j in range(d):
+                            force += sigma[i, j] * dN[at + a, j]
+                        out[node, i] = force
+                at += m
+
+    return kernel
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -163,7 +228,8 @@ def scatter(s: Stencils, weight: Array, q: Array, out: Array) -> None:
         q: Values of the points, shape (points, components).
         out: Sums, shape (nodes, components).
     """
-    _scatter(*_rows(s), weight, q, out)
+    loop = _scatter_loop(q.shape[1]) if q.shape[1] in (2, 3) else _scatter
+    loop(*_rows(s), weight, q, out)
 
 
 def scatter_affine(
@@ -191,7 +257,8 @@ def scatter_stress(s: Stencils, stress: Array, out: Array) -> None:
         stress: Stresses times volumes (N m), shape (points, d, d).
         out: Sums, shape (nodes, d).
     """
-    _scatter_stress(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.dN, stress, out)
+    loop = _stress_loop(s.dN.shape[1])
+    loop(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.dN, stress, out)
 
 
 def scatter_tensor(points: MaterialPoints, s: Stencils, stress: Array, out: Array) -> None:
@@ -220,7 +287,8 @@ def collect(s: Stencils, q: Array, size: int | None = None) -> Array:
         size: Number of all points, if the stencils are those of some points. Other points get 0.
     """
     out = np.zeros((s.order.size if size is None else size, q.shape[1]))
-    _collect(*_rows(s), q, out)
+    loop = _collect_loop(q.shape[1]) if q.shape[1] in (2, 3) else _collect
+    loop(*_rows(s), q, out)
     return out
 
 
