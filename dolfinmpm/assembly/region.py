@@ -15,7 +15,7 @@ from dolfinmpm.assembly.stencilsums import Entries, Slope, add_stiffness, add_ve
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellcouplings import add_outer
-from dolfinmpm.cut.facetmoduli import isotropic_moduli
+from dolfinmpm.cut.facetmoduli import add_isotropic_moduli
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
@@ -77,6 +77,9 @@ class Region:
         # intermediate results of laws, in the order of the stencils, and numbers of the operators
         # whose results belong to the present increments
         self._kept: dict[int, Array] = {}
+        # how many each operator keeps: the check of a protocol takes time in every chunk
+        laws: list[Any] = [operator.law for operator in terms.operators]
+        self._keeps = [law.keeps if isinstance(law, KeepingLaw) else 0 for law in laws]
         self._current: set[int] = set()
         self._data = dict(shared)
         for k, (function, gradient) in enumerate(terms.placeholders.functions):
@@ -187,13 +190,13 @@ class Region:
             known: Whether the results are known already.
             again: Whether they are read again, though no tangent has been asked for so far.
         """
-        law, s = self.terms.operators[k].law, self.part.stencils[0]
+        s = self.part.stencils[0]
         # a cached property: explicit steps never ask for a tangent
         wanted = known or again or "tangent" in vars(self.terms)
-        if not (wanted and isinstance(law, KeepingLaw) and law.keeps):
+        if not (wanted and self._keeps[k]):
             return None
         if k not in self._kept:
-            self._kept[k] = np.empty((s.order.size, law.keeps))
+            self._kept[k] = np.empty((s.order.size, self._keeps[k]))
         return KeptTangents(self._kept[k][s.groups[first] : s.groups[last]], known)
 
     def _ask(self, k: int, operand, value, slope, rows, by_mean, kept: KeptTangents | None) -> int:
@@ -337,9 +340,7 @@ class Region:
                 if by_mean is not None:
                     # tangent for a deformation that is the same in the whole cell
                     slope += by_mean[:, :, None] * self.averaging(k).measure_slope(operand)[:, None]
-                found = isotropic_moduli(slope.reshape(-1, d, d, d, d))
-                share = points["V0"][rows] / points["V"][rows]
-                out[rows] += share[:, None] * found
+                add_isotropic_moduli(slope, points["V0"][rows] / points["V"][rows], rows, out)
             self._current |= {k} & self._kept.keys()
 
     def add_end_state(self, new: dict[str, Array]) -> None:

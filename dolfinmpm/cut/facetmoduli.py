@@ -156,29 +156,40 @@ def isotropic_moduli(tangent: Array) -> Array:
     Args:
         tangent: D_ijkl (Pa), shape (n, d, d, d, d).
     """
+    out = np.zeros((len(tangent), 2))
     d = tangent.shape[1]
-    if d == 1:
-        M = tangent.reshape(len(tangent))
-        return np.stack([M, np.zeros_like(M)], axis=1)
-    # of λ δ_ij δ_kl + μ (δ_ik δ_jl + δ_il δ_jk)
-    traces = np.array([[d * d, 2.0 * d], [d, d * (d + 1.0)]])
-    lmbda, mu = np.linalg.solve(traces, _traces(np.ascontiguousarray(tangent)))
-    return np.stack([lmbda + 2 * mu, mu], axis=1)
+    slopes = np.ascontiguousarray(tangent).reshape(-1, d * d, d * d)
+    add_isotropic_moduli(slopes, np.ones(len(out)), np.arange(len(out)), out)
+    return out
 
 
-@numba.njit(cache=True)
-def _traces(tangent):
-    """D_iikk and the mean of D_ijij and D_ijji in one pass (Pa), shape (2, n)."""
-    n, d = tangent.shape[:2]
-    out = np.empty((2, n))
-    for p in range(n):
+@numba.njit(cache=True, error_model="numpy")
+def add_isotropic_moduli(slopes, share, rows, out):
+    """Add the moduli of `isotropic_moduli`, times shares, to those of some points; in one pass.
+
+    Args:
+        slopes: Tangents (Pa), shape (n, d², d²).
+        share: Factors (-), shape (n,).
+        rows: Numbers of the points, shape (n,).
+        out: M and G of all points (Pa), shape (points, 2).
+    """
+    d = 1
+    while d * d < slopes.shape[1]:
+        d += 1
+    for p in range(slopes.shape[0]):
+        if d == 1:
+            out[rows[p], 0] += share[p] * slopes[p, 0, 0]
+            continue
         volume = whole = 0.0
         for i in range(d):
             for j in range(d):
-                volume += tangent[p, i, i, j, j]
-                whole += 0.5 * (tangent[p, i, j, i, j] + tangent[p, i, j, j, i])
-        out[0, p], out[1, p] = volume, whole
-    return out
+                volume += slopes[p, i * d + i, j * d + j]
+                whole += 0.5 * (slopes[p, i * d + j, i * d + j] + slopes[p, i * d + j, j * d + i])
+        # the traces of λ δ_ij δ_kl + μ (δ_ik δ_jl + δ_il δ_jk) are d² λ + 2 d μ, d λ + d (d + 1) μ
+        mu = (d * whole - volume) / (d * (d + 2.0) * (d - 1.0))
+        lmbda = (volume - 2.0 * d * mu) / (d * d)
+        out[rows[p], 0] += share[p] * (lmbda + 2.0 * mu)
+        out[rows[p], 1] += share[p] * mu
 
 
 def bounded(moduli: Array, elastic: Array, shared: npt.NDArray[np.bool_] | None = None) -> Array:
