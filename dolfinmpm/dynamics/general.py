@@ -43,6 +43,7 @@ from dolfinmpm.dynamics.stepwork import (
     work_of_friction,
 )
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
+from dolfinmpm.grid.tensors import determinants
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
@@ -257,7 +258,7 @@ class GeneralSteps(ExplicitBase):
         weight = points["V"]
         if state is not None:
             at = operator.points
-            weight = weight * np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
+            weight = weight * determinants(deformation(points, at.value[0], at.gradient[0]))
         stress = points["stress"] if state is None else state.fields["stress"]
         weight = stress_volumes(points, self._problem.form.parts.declarations, weight)
         scatter_tensor(points, s, weight[:, None, None] * stress, forces.arrays[0])
