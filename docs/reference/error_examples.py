@@ -221,6 +221,13 @@ def HeldLoadWarning():
     mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
 
 
+def IdlePointsWarning():
+    points, V = block()
+    points["tag"][points["x"][:, 1] < 0.4] = 3
+    F = mpm.momentum(SOIL, points, V.increment, V.test, tag=0)
+    mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+
+
 def LongPiecesWarning():
     points, _ = block()
     V = mpm.Space(points.grid, "gimp", refine=lambda x: np.full(x.shape[1], 0.1), levels=1)

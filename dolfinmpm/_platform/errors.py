@@ -32,6 +32,7 @@ __all__ = [
     "FreeAxisWarning",
     "HeldLoadWarning",
     "IdleConditionWarning",
+    "IdlePointsWarning",
     "ImbalanceWarning",
     "InstabilityError",
     "LongPiecesWarning",
@@ -150,6 +151,10 @@ class DolfinMPMWarning(UserWarning):
 
 class IdleConditionWarning(DolfinMPMWarning):
     """A condition or a load acts on no part of the body."""
+
+
+class IdlePointsWarning(DolfinMPMWarning):
+    """Points of a tag have no law, or no term of a field, and are a hole in the body."""
 
 
 class FreeAxisWarning(DolfinMPMWarning):

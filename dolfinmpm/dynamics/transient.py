@@ -50,7 +50,12 @@ class Rates(TimedScheme):
 
     def __init__(self, points: MaterialPoints, error: float | None, constant: fem.Constant | None):
         super().__init__(error, constant)
-        self._points = points
+        self._points, self._tried = points, 0.0
+
+    def begin(self, problem: Any, t: float | None) -> None:
+        """See `TimedScheme`. Collective."""
+        super().begin(problem, t)
+        self._tried = 0.0
 
     def system(self, problem: Any, step: Step) -> Operator:
         """See `Static`. Collective."""
@@ -84,7 +89,10 @@ class Rates(TimedScheme):
         change = rate - self._points[_RATE] if clock.begun else np.zeros_like(rate)
         both = np.array([np.abs(change).max(initial=0.0), np.abs(u).max(initial=0.0)])
         self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-        allowed = self.error * max(clock.largest, both[1])
+        # After a time at rest the change of the rate is the whole rate in substeps of any length.
+        # Substeps have a part of the load, so that the displacement of the whole step is a measure.
+        self._tried = max(self._tried, float(both[1]))
+        allowed = self.error * max(clock.largest, self._tried)
         reason = clock.judge(dt, 0.5 * dt * both[0], allowed, 2)
         if reason is None:
             clock.largest, clock.begun = max(clock.largest, float(both[1])), True
@@ -102,8 +110,9 @@ class Transient(QuasiStatic):
     Args:
         form, increment, points, bcs, options: See `QuasiStatic`.
         error: Largest error of a step's displacement, as a share of the largest displacement of a
-            step so far. The error is that of backward Euler's rule: half the length of the step
-            times the change of the rate. A step with a larger error is halved. None for no bound.
+            step so far, this one included before it is halved. The error is that of backward
+            Euler's rule: half the length of the step times the change of the rate. A step with a
+            larger error is halved. None for no bound.
         time: DOLFINx constant that holds the time (s), for forms that depend on the time.
 
     The first step raises an error if a pressure is determined only up to a constant. It also does

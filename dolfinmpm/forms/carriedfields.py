@@ -5,6 +5,7 @@ Building a form does not change the points. The problem that is made from the fo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -17,6 +18,8 @@ from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.forms.declarations import in_words
+from dolfinmpm.forms.termqueries import tags_of
 
 __all__ = [
     "CARRIED",
@@ -51,8 +54,8 @@ class CarriedField(PointField):
         slope_of: Name of the carried field whose gradient it is, or None. Where it is still zero,
             the values of this field give it before the first step.
         unknown: Name of a field that becomes 0 where `slope_of` gave the gradient, or None.
-        pores: Tags of the points whose total stress contains this pressure, None for all; False
-            for other fields.
+        pores: Whether the total stress of its points contains this pressure.
+        tags: Tags of the points whose terms carry it, None for all points. `carried_in` sets them.
         revision: Revision of the points when zero gradients were last looked for.
     """
 
@@ -64,7 +67,8 @@ class CarriedField(PointField):
     surface: Any = None
     slope_of: str | None = None
     unknown: str | None = None
-    pores: Tags | bool = False
+    pores: bool = False
+    tags: Tags = None
     revision: int = -1
 
 
@@ -201,22 +205,47 @@ def _within(expressions: Iterable[Expr]) -> Iterator[PointField]:
 def carried_in(form: ufl.Form) -> list[PointField]:
     """Fields that a form's terms carry, or that change when a step begins, each field once.
 
+    Terms over points of different tags may carry different expressions under one name.
+
     Raises:
-        FormError: Two different expressions are carried under one name.
+        FormError: Two different expressions are carried under one name at the same points.
     """
-    found: dict[str, PointField] = {}
-    waiting: list[PointField] = []
+    found: dict[str, list[tuple[PointField, Tags]]] = {}
+    waiting: list[tuple[PointField, Tags]] = []
     for integral in form.integrals():
-        waiting += _within([integral.integrand()])
-        waiting += (integral.metadata() or {}).get(CARRIED, ())
+        tags = tags_of(integral) if "points" in (integral.metadata() or {}) else None
+        within = [*_within([integral.integrand()]), *(integral.metadata() or {}).get(CARRIED, ())]
+        waiting += [(one, tags) for one in within]
     while waiting:
-        one = waiting.pop()
-        known = found.setdefault(one.name, one)
-        if known is one:
+        one, tags = waiting.pop()
+        known = found.setdefault(one.name, [])
+        same = next((k for k, (other, _) in enumerate(known) if _agree(one, other)), None)
+        if same is None:
+            known.append((one, tags))
+        else:
+            other, covered = known[same]
+            joined = None if covered is None or tags is None else tuple({*covered, *tags})
+            if joined is covered or (joined and set(joined) == set(covered or ())):
+                continue
+            known[same] = other, joined
+        if isinstance(one, CarriedField):
+            waiting += [(c, tags) for c in _within([one.update])]
+    for name, fields in found.items():
+        for (_, first), (_, second) in itertools.combinations(fields, 2):
+            if first is None or second is None or set(first) & set(second):
+                raise FormError(
+                    f"two expressions are carried under the name '{name}' by the same points "
+                    f"({in_words(first)} and {in_words(second)}); give each its own name, or each "
+                    "call of mpm.poromechanics its own tag="
+                )
+        for one, tags in fields:
             if isinstance(one, CarriedField):
-                waiting += [c for c in _within([one.update]) if c.name not in found]
-        elif isinstance(one, CarriedField) and one.update != getattr(known, "update", None):
-            raise FormError(
-                f"two expressions are carried under the name '{one.name}'; give each its own name"
-            )
-    return list(found.values())
+                one.tags = tags
+    return [one for fields in found.values() for one, _ in fields]
+
+
+def _agree(one: PointField, other: PointField) -> bool:
+    """Whether two fields of one name are set to the same values."""
+    if one is other or not isinstance(one, CarriedField):
+        return True
+    return one.update == getattr(other, "update", None)

@@ -14,15 +14,15 @@ from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints, PointField
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.forms.carriedfields import carried_in
-from dolfinmpm.forms.declarations import Declaration, declared
+from dolfinmpm.forms.carriedfields import CarriedField, carried_in
+from dolfinmpm.forms.declarations import Declaration, declared, rows_within
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.integrals import by_measure, check_derivatives
 from dolfinmpm.forms.lawderivatives import differentiate_through_laws
 from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.tagchecks import TagChecks, check_subdomains, tags_by_term
-from dolfinmpm.forms.termqueries import brief, operators_in, tags_of, term_of
+from dolfinmpm.forms.termqueries import brief, operators_in, share_units, tags_of, term_of
 
 __all__ = ["BoundaryTerms", "SplitForm", "SurfaceTerms", "split"]
 
@@ -111,8 +111,11 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     for declaration in declarations:
         declaration.bind()
     kept = carried_in(form)
+    share_units(form)
+    new = {one.name for one in kept} - set(points.fields)
     for one in kept:
         points.add_field(one.name, one.ufl_shape, one.unit, one.first)
+    _set_first(points, [one for one in kept if one.name in new])
     touching = _touching(terms, spaces)
     of_markers = {b.markers.number: b for b in _boundaries(form, points)}
     with_terms = set(of_markers)
@@ -281,6 +284,14 @@ def _increments(form, number: int, spaces: Sequence[Space], touching=None) -> li
                 found.append(space.increment)
                 break
     return found
+
+
+def _set_first(points: MaterialPoints, kept: Sequence[PointField]) -> None:
+    """Give new fields the first values of the expressions that points of their tags carry."""
+    for one in kept:
+        if isinstance(one, CarriedField) and any(o.name == one.name for o in kept if o is not one):
+            own = rows_within(points, one.tags)
+            points[one.name][own] = one.first_values(points["x0"][own])
 
 
 def _without_terms(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, list[Any]]:

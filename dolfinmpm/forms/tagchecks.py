@@ -1,4 +1,4 @@
-"""Checks for tags that no point, cell or facet has, and for loads on points without a law."""
+"""Checks for tags that no point, cell or facet has, and for points without a law."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import Tags
-from dolfinmpm._platform.errors import FormError, call_together
+from dolfinmpm._platform.errors import FormError, IdlePointsWarning, call_together, warn
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formsigns import FACETS, MARK
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
@@ -38,7 +38,7 @@ class TagChecks:
         declarations: Declarations of the laws at the points.
         spaces: Spaces of the increments.
         alone: Whether the only terms on the grid are ghost penalties.
-        known: Tags whose points `check_new` has found to have laws.
+        known: Tags whose points have been checked.
     """
 
     points: MaterialPoints
@@ -60,6 +60,9 @@ class TagChecks:
         Raises:
             FormError: A tag matches no point, or loaded points have no law. The message names tags
                 and term.
+
+        Warns:
+            IdlePointsWarning: Points without a load have no law, or no term of a field.
         """
         terms = tags_by_term(self.integrals)
         named = [*((f"the term '{brief(term)}'", tags) for term, tags in terms), *self.others]
@@ -82,10 +85,11 @@ class TagChecks:
                 f"no point has a law: the laws are for {_all_of(self.declarations)}, and "
                 f"the points have the tags {in_order(in_use)}"
             )
-        self._check_loads(in_use)
+        self._check_fields(in_use)
+        self.known.update(in_use)
 
     def check_new(self) -> None:
-        """Refuse loads on points of new tags without a law, if `of_laws` has tags. Collective.
+        """Check points of new tags, if `of_laws` has tags. Collective.
 
         The user may have set tags since, or added points.
 
@@ -93,42 +97,57 @@ class TagChecks:
             FormError: Loaded points have no law.
         """
         new = tags_in_use(self.points) - self.known
-        self._check_loads(new)
+        self._check_fields(new)
         self.known.update(new)
 
-    def _check_loads(self, tags: set[int]) -> None:
-        """Refuse loads on points of some tags without a resisting term. Collective."""
+    def _check_fields(self, tags: set[int]) -> None:
+        """Check that points of some tags have terms of each field. Collective."""
         for tag in sorted(tags):
-            for space in self.spaces:
-                moves = space.increment.ufl_shape == (self.points.gdim,)
-                if moves and _has(space.tags, tag):
-                    self._check_load(tag, space)
+            for k, space in enumerate(self.spaces):
+                if _has(space.tags, tag):
+                    self._check_field(tag, k)
 
-    def _check_load(self, tag: int, space: Space) -> None:
-        """Refuse a load on points of a tag without a resisting term. Collective if refused."""
-        increments, load = [one.increment for one in self.spaces], None
+    def _check_field(self, tag: int, k: int) -> None:
+        """Refuse a load on points without a resisting term; warn of points without terms."""
+        space, load = self.spaces[k], None
+        increments = [one.increment for one in self.spaces]
+        moves = space.increment.ufl_shape == (self.points.gdim,)
         for integral in self.integrals:
-            if not _has(tags_of(integral), tag):
+            # loads and footings of a `Surface` act on few points
+            if not _has(tags_of(integral), tag) or "surface" in integral.metadata():
                 continue
             for term in summands(integral.integrand()):
                 if not any(a == space.test for a in extract_arguments(term)):
                     continue
                 laws = operators_in(term)
+                if not moves:
+                    return
                 if depends_on(term, increments):
                     if not laws or any(_has(law.tags, tag) for law in laws):
                         return
                 elif MARK not in integral.metadata():
-                    # loads of a `Surface` act on few points and are not checked
                     load = term
-        if load is None:
-            return
         count = int(np.count_nonzero(self.points["tag"] == tag))
         count = self.points.comm.allreduce(count, op=MPI.SUM)
-        raise FormError(
-            f"the {count} points of tag {tag} have the load '{brief(load)}', and no law or other "
-            "term of the form resists their motion: give them a law, mpm.momentum(law, points, "
-            f"u, v, tag={tag}), or restrict the load to other points, points.dX(tag)"
-        )
+        if load is not None:
+            raise FormError(
+                f"the {count} points of tag {tag} have the load '{brief(load)}', and no law or "
+                "other term of the form resists their motion: give them a law, mpm.momentum(law, "
+                f"points, u, v, tag={tag}), or restrict the load to other points, points.dX(tag)"
+            )
+        if moves:
+            text = (
+                f"the {count} points of tag {tag} have no law, and are a hole in the body: give "
+                f"them one, mpm.momentum(law, points, u, v, tag={tag}), or remove them, "
+                f'points.remove(points["tag"] == {tag})'
+            )
+        else:
+            text = (
+                f"the {count} points of tag {tag} have no term of field {k + 1}, which no equation "
+                f"determines there: give them one, such as mpm.poromechanics(..., tag={tag}), or "
+                "make the field of other points only, mpm.Space(grid, ..., tag=...)"
+            )
+        warn(self.points.comm, text, IdlePointsWarning)
 
 
 def tags_by_term(integrals: Iterable[Any]) -> Iterator[tuple[Expr, Tags]]:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
+from dolfinx import fem
 from ufl.algorithms import extract_coefficients
 from ufl.classes import Curl, Div, Grad, NablaDiv, NablaGrad, Sum
 from ufl.core.expr import Expr
@@ -17,10 +18,12 @@ from dolfinmpm.forms.operators import PointOperator
 __all__ = [
     "PENALTY",
     "SPATIAL_DERIVATIVES",
+    "UNIT",
     "brief",
     "check_solved_for",
     "operators_in",
     "penalty_of",
+    "share_units",
     "stiffness_per_area",
     "summands",
     "tags_of",
@@ -31,6 +34,9 @@ __all__ = [
 # Key in the metadata of a measure: increments of fields without a law's modulus, and the γ of their
 # ghost penalty in literal scaling
 PENALTY = "ghost_penalty"
+# Key in the metadata of a measure: increments of fields whose equation has a unit of its own, and
+# the constant by which it is multiplied
+UNIT = "unit_of_equation"
 
 SPATIAL_DERIVATIVES = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
@@ -128,12 +134,37 @@ def tags_of(integral) -> Tags:
 def penalty_of(form: ufl.Form, increment: Any) -> Any:
     """γ for UFL of a field's ghost penalty, or None if no term of the form gives it.
 
+    It is the harmonic mean where terms over several tags give one.
+
     Args:
         form: Weak form.
         increment: Increment of the field.
     """
+    found = [
+        gamma
+        for integral in form.integrals()
+        for known, gamma in ((integral.metadata() or {}).get(PENALTY) or {}).items()
+        if known is increment
+    ]
+    # the harmonic mean is near the smallest one: a larger one would lead water past that soil
+    return (
+        found[0] if len(found) == 1 else len(found) / sum(1 / g for g in found) if found else None
+    )
+
+
+def share_units(form: ufl.Form) -> None:
+    """Give an equation that is written for several tags one unit, the largest.
+
+    Nodes between two soils have the sum of both parts, which would not be a balance in two units.
+
+    Args:
+        form: Weak form, whose metadata `UNIT` are constants by increment.
+    """
+    units: dict[Any, list[fem.Constant]] = {}
     for integral in form.integrals():
-        for known, gamma in ((integral.metadata() or {}).get(PENALTY) or {}).items():
-            if known is increment:
-                return gamma
-    return None
+        for increment, unit in ((integral.metadata() or {}).get(UNIT) or {}).items():
+            units.setdefault(increment, []).append(unit)
+    for constants in units.values():
+        largest = max(float(unit.value) for unit in constants)
+        for unit in constants:
+            unit.value = largest

@@ -39,7 +39,14 @@ from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import check_kind, choice, floats, number, shown
+from dolfinmpm._platform.argumentchecks import (
+    check_kind,
+    choice,
+    floats,
+    number,
+    refuse_idle,
+    shown,
+)
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import LARGEST_PENALTY
 from dolfinmpm.body.axisymmetry import gradient, in_section
@@ -113,6 +120,11 @@ class WeakCondition:
 
     def __repr__(self) -> str:
         return f"the condition at '{self.boundary.name}'"
+
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Names of the markers' fields of forces on the body (N)."""
+        return tuple(name for name in self.updates if name in self.boundary.forces)
 
     def stiffness_per_area(self) -> npt.NDArray[np.float64]:
         """The penalty at the markers of this rank (Pa/m), shape (markers,)."""
@@ -206,8 +218,8 @@ def dirichlet(
 
     Raises:
         ParameterError: An argument is not valid; `penalty` and `stiffness_per_area` are both
-            given; the law is missing; or the body is on both sides of the boundary, and the method
-            is not "penalty".
+            given; the law is missing, also for a tag; or the body is on both sides of the boundary,
+            and the method is not "penalty".
         FormError: A problem raises it if the body has a pore pressure and Nitsche's method has not.
 
     The left face lies within cells, and moves by one centimetre:
@@ -240,6 +252,8 @@ def dirichlet(
             'law = None goes only with method="penalty" and a stiffness_per_area (Pa/m); give the '
             "law of the body at the boundary"
         )
+    else:
+        refuse_idle("tag", tag, None, "it is the tag of the law: give law=, too, or leave tag out")
     if method != "penalty":
         _refuse_within(boundary, method)
     onto = _projection(boundary, direction)

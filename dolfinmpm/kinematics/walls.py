@@ -112,6 +112,11 @@ class Wall:
     def __repr__(self) -> str:
         return f"the wall at '{self.boundary.name}'"
 
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Names of the markers' fields of forces on the body (N)."""
+        return f"{self.name}_force", f"{self.name}_acting"
+
     def stiffness_per_area(self) -> npt.NDArray[np.float64]:
         """The penalty at the markers of this rank (Pa/m), shape (markers,)."""
         return self.boundary.markers[self.stiffness]

@@ -25,12 +25,13 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import as_tags, truth
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, carried
-from dolfinmpm.forms.termqueries import PENALTY
+from dolfinmpm.forms.termqueries import PENALTY, UNIT
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.lawterms import momentum
 from dolfinmpm.porous.fluid import Fluid, refuse_hollow, refuse_light
@@ -149,14 +150,16 @@ def poromechanics(
         ponded: Pairs of a surface and the level of still water above it (m, along the last axis,
             for UFL). The weight of the water acts as a pressure that follows the surface. The pore
             pressure at the surface is the same pressure, and 0 above the level.
-        strain, fbar, tag: See `momentum`.
+        strain, fbar, tag: See `momentum`. Layers of several soils have one call per tag, with the
+            same fields. A surface belongs to the call of its points.
 
     Returns:
         A form over the points. Loads are subtracted from it.
 
     Raises:
         ParameterError: An argument is not valid; the law has no elastic constants and `modulus` is
-            missing; or, with gravity, the points are not heavier than the water in them.
+            missing; a surface has points of other tags; or, with gravity, the points are not
+            heavier than the water in them.
 
     Warns:
         UnstablePairWarning: u and p have the same cells and projection is "none"; or u has coarser
@@ -192,12 +195,13 @@ def poromechanics(
     K0 = permeability_of(permeability, 1.0, n0, points) / weight
     b, M = gravity_of(gravity, points), modulus_of(modulus, soil, points)
     pressure = carried(points, "pressure", p, unit="Pa")
-    pressure.pores = as_tags(tag)
+    pressure.pores = True
     pores = carried(points, "porosity", n_end, unit="", first=first_porosity(porosity))
     pores.bounds = 0.0, 1.0
     keeps: list[CarriedField] = [pores]
     # both equations in newtons: M/h times q, so that solvers see equations of similar size
-    scale = M / size_of(p)
+    unit = own_constant(points.grid, M.value)
+    scale = unit / size_of(p)
     q = scale * q
 
     dX = points.dX("everywhere" if tag is None else tag)
@@ -233,9 +237,10 @@ def poromechanics(
         for field in keeps:
             field.level = level.share
     penalty = {p: scale * _penalty(M, n0, fluid, K0, points, p)}
-    marks = {**dX.metadata(), CARRIED: tuple(keeps), PENALTY: penalty}
+    marks = {**dX.metadata(), CARRIED: tuple(keeps), PENALTY: penalty, UNIT: {p: unit}}
     form += terms * dX(metadata=marks)
-    for part in _surface_terms(through, weight, v, drained, seepage, inflow, ponded):
+    on = {"drained": drained, "seepage": seepage, "inflow": inflow, "ponded": ponded}
+    for part in _surface_terms(through, weight, v, as_tags(tag), on):
         form += part
     return form
 
@@ -267,17 +272,21 @@ def _stored(
 
 
 def _surface_terms(
-    through: Flow, weight: Any, v: Any, drained: Any, seepage: Any, inflow: Any, ponded: Any
+    through: Flow, weight: Any, v: Any, tags: Tags, given: dict[str, Any]
 ) -> Iterator[ufl.Form]:
-    """Terms at the surfaces of four arguments of `poromechanics`."""
+    """Terms at the surfaces of four arguments of `poromechanics`, by name."""
     points = through.points
-    for surface, value in surfaces("drained", drained, points, "Pa", 0.0):
+
+    def of(what: str, *unit: Any) -> list[tuple[Surface, Any]]:
+        return surfaces(what, given[what], points, tags, *unit)
+
+    for surface, value in of("drained", "Pa", 0.0):
         yield prescribed_pressure(through, surface, value)
-    for surface, value in surfaces("seepage", seepage, points, "Pa", 0.0):
+    for surface, value in of("seepage", "Pa", 0.0):
         yield seepage_face(through, surface, value)
-    for surface, rate in surfaces("inflow", inflow, points, "m/s"):
+    for surface, rate in of("inflow", "m/s"):
         yield prescribed_inflow(through, surface, rate)
-    for surface, level in surfaces("ponded", ponded, points, "m"):
+    for surface, level in of("ponded", "m"):
         depth = ufl.max_value(level - surface.position(through.u)[points.gdim - 1], 0.0)
         yield prescribed_pressure(through, surface, weight * depth)
         yield surface.pressure(weight * depth, through.u, v)

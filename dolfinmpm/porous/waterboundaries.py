@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import number, shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.argumentchecks import Tags, number, shown
+from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.forms.declarations import in_words
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.porous.mixturestep import Kinematics
 from dolfinmpm.porous.projection import largest, size_of
@@ -70,7 +72,12 @@ class Flow:
 
 
 def surfaces(
-    what: str, given: Any, points: MaterialPoints, unit: str, otherwise: float | None = None
+    what: str,
+    given: Any,
+    points: MaterialPoints,
+    tags: Tags,
+    unit: str,
+    otherwise: float | None = None,
 ) -> list[tuple[Surface, Any]]:
     """Surfaces of an argument, each with its value for UFL.
 
@@ -78,6 +85,7 @@ def surfaces(
         what: Name of the argument, for messages.
         given: The argument: a surface, a pair of a surface and a value, or several of these.
         points: Material points.
+        tags: Tags of the soil's points, None for all points.
         unit: Unit of the values.
         otherwise: Value for surfaces without a value, or None if all surfaces need a value.
 
@@ -102,8 +110,25 @@ def surfaces(
             )
         if not isinstance(value, Expr):
             value = own_constant(points.grid, number(f"value of {what}", value, unit=unit))
+        if tags is not None:
+            raise_together(points.comm, _of_other_soil(what, surface, tags))
         found.append((surface, value))
     return found
+
+
+def _of_other_soil(what: str, surface: Surface, tags: tuple[int, ...]) -> ParameterError | None:
+    """The error for a surface with points of other tags, whose permeability is another, or None."""
+    points = surface.points
+    faces = np.any(points[surface.area.name], axis=1)
+    bad = np.flatnonzero(faces & ~np.isin(points["tag"], tags))
+    if not bad.size:
+        return None
+    p = bad[0]
+    return ParameterError(
+        f"{what} of mpm.poromechanics({in_words(tags)}) has the surface '{surface.name}', to which "
+        f"the point of tag {points['tag'][p]} at {points['x'][p]} m belongs, too: make a Surface "
+        "for the part of each soil"
+    )
 
 
 def prescribed_pressure(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:

@@ -123,8 +123,8 @@ def _check_law(condition: WeakCondition, declarations: Sequence[Declaration]) ->
 def _check_water(condition: WeakCondition, carried: Sequence[PointField]) -> None:
     """Raise FormError if the body there has a pore pressure, and the condition has none."""
     tags = _tags_of(condition)
-    fields = [c for c in carried if isinstance(c, CarriedField) and c.pores is not False]
-    wet = [c for c in fields if _overlap(c.pores, tags)]
+    fields = [c for c in carried if isinstance(c, CarriedField) and c.pores]
+    wet = [c for c in fields if _overlap(c.tags, tags)]
     if wet and not condition.wet:
         raise FormError(
             f"the condition (mpm.dirichlet) at '{condition.boundary.name}' has the traction of the "

@@ -51,7 +51,8 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
 
     Args:
         problem: A quasi-static problem with undeformed points.
-        tolerance: Remaining out-of-balance force, as a share of external forces and reactions.
+        tolerance: Remaining out-of-balance force, as a share of external forces and reactions. The
+            steps here go on to it, also if the problem has a larger tolerance.
         most: Largest number of steps.
 
     Returns:
@@ -96,11 +97,16 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
     before = len(problem.history)
     out = _out_of_balance(problem)
     if out > tolerance:
-        penalties = _Penalties(problem)
-        if penalties:
-            out = _steps_with_soft_penalties(problem, penalties, tolerance, most)
-        else:
-            out = _steps(problem, tolerance, most)
+        penalties, usual = _Penalties(problem), problem.tolerance
+        # steps that may stop before would never come to the balance
+        problem.tolerance = min(usual, tolerance)
+        try:
+            if penalties:
+                out = _steps_with_soft_penalties(problem, penalties, tolerance, most)
+            else:
+                out = _steps(problem, tolerance, most)
+        finally:
+            problem.tolerance = usual
     if out <= tolerance:
         return len(problem.history) - before
     raise ConvergenceError(

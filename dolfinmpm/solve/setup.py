@@ -8,6 +8,7 @@ from dataclasses import replace
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.uflstress import UFLStress
@@ -133,14 +134,19 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
     ]
     kept = [f for f in form.parts.carried if isinstance(f, CarriedField) and f.name not in given]
     faces, kept = [f for f in kept if f.surface], [f for f in kept if not f.surface]
-    leveled = {f.name: f.update for f in kept if f.level is not None}
-    whole = {f.name: f.update for f in kept if f.level is None}
-    for updates, carried in ((leveled, True), ({**whole, **given}, False)):
+    several = {f.name for f in kept if sum(f.name == other.name for other in kept) > 1}
+    groups: dict[tuple[Tags, bool], dict[str, Expr]] = {(None, True): {}, (None, False): {}}
+    for f in kept:
+        # points without terms take part where there is no choice
+        tags = f.tags if f.name in several else None
+        groups.setdefault((tags, f.level is not None), {})[f.name] = f.update
+    groups[None, False] |= given
+    for (tags, carried), updates in groups.items():
         for expression in updates.values():
             check_hoop(form.points, expression)
         if updates:
             made.append(
-                PointUpdates(updates, form.regions, form.spaces, form.points, carried=carried)
+                PointUpdates(updates, form.regions, form.spaces, form.points, tags, carried)
             )
     for one in faces:
         term = next(t for t in form.surfaces if t.surface is one.surface)

@@ -272,6 +272,13 @@ class ActiveBoundaryTerm(Evaluation):
         if boundary.follows and APART in boundary.markers.fields:
             for name in fields.keys() & set(boundary.forces):
                 fields[name][~boundary.present()] = 0.0
+        # a pore pressure and a given stiffness are there at markers of other tags, too
+        for condition in self._of.conditions:
+            tags = None if condition.declaration is None else condition.declaration.tags
+            if tags is not None:
+                others = ~np.isin(boundary.markers["tag"], tags)
+                for name in condition.forces:
+                    fields[name][others] = 0.0
         return fields
 
     def follow(self, new: NewState, step: int) -> None:

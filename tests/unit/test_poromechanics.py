@@ -229,6 +229,25 @@ def test_steps_are_chosen_by_their_error():
     assert problem.time == 20.0
 
 
+def test_a_load_after_a_time_at_rest_keeps_to_the_bound_of_the_error():
+    settled = {}
+    for error in (0.02, None):
+        F, points, V, Q, top = block("linear", height=0.75)
+        load = fem.Constant(points.grid, (0.0, 0.0))
+        problem = problem_of(F + top.traction(load, V.test), points, V, Q, error=error)
+        problem.step(1e-3)
+        load.value[1] = -20.0
+        if error is None:
+            for t in mpm.times(np.geomspace(1e-3, 1.0, 201)[1:], start=1e-3):
+                problem.step(t)
+        else:
+            for t in mpm.times(1.0, dt="auto", start=1e-3):
+                problem.step(t)
+            assert problem.history[1].halvings > 0
+        settled[error] = top.mean_displacement()[1]
+    assert settled[0.02] == pytest.approx(settled[None], rel=0.01)
+
+
 def test_a_run_goes_on_from_a_file(tmp_path):
     def made():
         F, points, V, Q, top = block(gravity=(0.0, -9.81), theta=0.5)

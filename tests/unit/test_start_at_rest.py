@@ -59,6 +59,18 @@ def test_a_hillside_is_in_balance_and_stays():
     assert moved < 1e-9
 
 
+def test_a_larger_tolerance_of_the_problem_is_no_obstacle():
+    hill = mpm.Terrain(([0, 3, 5, 8],), [4.0, 4.0, 2.5, 2.5])
+    stress = []
+    for tolerance in (1e-9, 1e-5):
+        points, problem = hillside(hill)
+        problem.tolerance = tolerance
+        mpm.start_at_rest(problem, deposit(hill))
+        assert problem.tolerance == tolerance
+        stress.append(points["stress"])
+    np.testing.assert_allclose(stress[1], stress[0], atol=1e-3)
+
+
 def test_two_laws_get_their_own_layers():
     flat = mpm.Terrain(([0, 8],), [4.0, 4.0])
     grid = mpm.create_lattice(COMM, [np.linspace(0, 8, 9), np.linspace(0, 5, 6)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 import ufl
@@ -9,7 +11,12 @@ from conftest import COMM
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.errors import (
+    ConvergenceError,
+    FormError,
+    IdlePointsWarning,
+    ParameterError,
+)
 
 LAW = mpm.materials.Hencky(1e3, 0.3)
 KINDS = (mpm.QuasiStatic, mpm.Newmark, mpm.Explicit)
@@ -102,8 +109,6 @@ def traction(points, u, v):
     {"load": (1, 9)},
     {"law": 1, "load": 1, "extra": energy},
     {"law": 1, "extra": energy},
-    # points that are only looked at, and a load on faces that they do not have
-    {"law": 1, "load": 1, "extra": traction, "kind": mpm.Explicit},
 ])  # fmt: skip
 def test_what_has_all_it_needs_goes_on(given):
     problem = scene(**given)
@@ -116,3 +121,54 @@ def test_a_stress_is_set_where_points_are():
     with pytest.raises(ParameterError, match=r"tag = 9: no point has it; the points have .* 1, 2"):
         mpm.set_stress(LAW, points, -np.eye(3), tag=9)
     mpm.set_stress(LAW, points, -np.eye(3), tag=(2, 9))
+
+
+def pressed(points, u, v):
+    return mpm.Surface(points, lambda x: x[1] > 1.99, (0, 1)).pressure(1.0, u, v)
+
+
+def under_a_footing(points, u, v):
+    under = mpm.Surface(points, lambda x: x[1] > 1.99, (0, 1))
+    settlement = fem.Constant(points.grid, 0.0)
+    return mpm.RigidFooting(under, settlement, rough=False, E=1e3).contact(u, v)
+
+
+@pytest.mark.parametrize("extra", [pressed, under_a_footing])
+def test_faces_resist_nothing_elsewhere(extra):
+    with pytest.raises(FormError, match="the 8 points of tag 2 have the load"):
+        take(scene(law=1, extra=extra))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_without_a_law_are_told_once(kind):
+    # points that are only looked at, and a load on faces that they do not have
+    options = {} if kind is mpm.Explicit else {"stabilisation": "ghost", "max_halvings": 0}
+    problem = scene(law=1, load=1, extra=traction, kind=kind, **options)
+    told = pytest.warns(IdlePointsWarning, match=r"the 8 points of tag 2 have no law, .*tag=2\)")
+    # nothing holds them in steps without time
+    fails = ConvergenceError if kind is mpm.QuasiStatic else ()
+    with told, contextlib.suppress(fails):
+        take(problem)
+    problem.points["tag"][:] = 1
+    problem.step(*(() if kind is mpm.QuasiStatic else (0.04,)))
+    assert np.abs(problem.points["x"] - problem.points["x0"]).max() > 1e-5
+
+
+@pytest.mark.parametrize("tag", [None, 1])
+def test_a_pressure_belongs_to_wet_points(tag):
+    grid = mpm.create_lattice(COMM, [np.arange(5.0)] * 2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), 2, 2000.0, tag=1)
+    points = points + mpm.fill(grid, mpm.Box((0, 2), (4, 4)), 2, 2000.0, tag=2)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=(), tag=tag)
+    fields, tests = (V.increment, Q.increment), (V.test, Q.test)
+    water = {"permeability": 1e-6, "porosity": 0.4, "tag": 1}
+    F = mpm.poromechanics(LAW, points, fields, tests, **water)
+    F += mpm.momentum(LAW, points, V.increment, V.test, tag=2)
+    bcs = mpm.fixed(V, "bottom") + mpm.fixed(Q, "bottom")
+    problem = mpm.Transient(F, fields, points, bcs, max_halvings=0)
+    if tag is not None:
+        problem.step(1.0)
+        return
+    told = pytest.warns(IdlePointsWarning, match="the 32 points of tag 2 have no term of field 2")
+    with told, contextlib.suppress(ConvergenceError):
+        problem.step(1.0)

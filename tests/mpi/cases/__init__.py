@@ -118,6 +118,7 @@ CASES = {
         explicit.explicit_restart,
         explicit.explicit_boundaries,
         porous.consolidation,
+        porous.wet_layers,
         porous.first_pressures,
         porous.nested,
         porous.nested_bases,

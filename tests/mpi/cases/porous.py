@@ -50,6 +50,36 @@ def consolidation():
     }
 
 
+def wet_layers():
+    """A layer of each of two soils, with a wall beside them; ranks have points of one or both."""
+    lines = [mpm.zoned_line(0.0, end, (0.0, 0.5), (0, 4, n)) for end, n in ((3.0, 14), (2.0, 8))]
+    grid = mpm.create_lattice(COMM, lines)
+    points = mpm.fill(grid, mpm.Box((0.13, 0), (1.2, 0.5)), 2, 2000.0, exact=True, tag=1)
+    points = points + mpm.fill(grid, mpm.Box((0.13, 0.5), (1.2, 0.8)), 2, 1800.0, exact=True, tag=2)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    u, v, p = V.increment, V.test, Q.increment
+    top = mpm.Surface(points, lambda x: x[1] > 0.8 - 1e-9, (0, 1))
+    wall = mpm.Boundary.from_polygon(points, [(0.13, 0.8), (0.13, 0)], closed=False, name="wall")
+    F = top.traction(fem.Constant(grid, (0.0, -3e3)), v)
+    for tag, E, k, drained in ((1, 1e6, 1e-4, ()), (2, 1e5, 1e-3, top)):
+        law = mpm.materials.Hencky(E=E, nu=0.3)
+        water = {"permeability": k, "porosity": 0.2 + 0.1 * tag, "drained": drained, "tag": tag}
+        F += mpm.poromechanics(law, points, (u, p), (v, Q.test), gravity=(0.0, -9.81), **water)
+        held = {"law": law, "direction": "normal", "pore_pressure": p, "tag": tag}
+        F += mpm.dirichlet(wall, u, v, **held)
+    problem = mpm.Transient(F, [u, p], points, mpm.fixed(V, "bottom"), stabilisation=["ghost"] * 2)
+    iterations = [problem.step(t).iterations for t in (0.1, 1.0, 5.0)]
+    weight = np.sin(1.0 + points["id"])
+    carried = [COMM.allreduce(float(weight @ points[k])) for k in ("pressure", "porosity")]
+    return {
+        "iterations": iterations,
+        "count": points.total,
+        "carried": carried,
+        "force": wall.force().tolist(),
+        **sums(points, "x", "stress"),
+    }
+
+
 def nested():
     """A body beside cells of several ranks that drains, its pressure on cells of twice the size."""
     return _drained("gimp", "ghost")
