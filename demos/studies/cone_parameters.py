@@ -63,7 +63,7 @@ def scene(m):
     u, v = V.increment, V.test
     clay = mpm.materials.Tresca(2 * (1 + m["nu"]) * m["G"], m["nu"], m["cu"])
     F = mpm.momentum(clay, points, u, v, fbar=True)
-    F += mpm.contact(cone, points, u, v, friction=m["friction"])
+    F += mpm.contact(cone, points, u, v, friction=m["friction"], penalty=2.0)
     bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0) + mpm.fixed(V, "bottom")
     ghost = mpm.Stabilisation("ghost", factor=0.1)
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=ghost, tolerance=1e-8)
