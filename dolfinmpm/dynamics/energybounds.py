@@ -114,14 +114,16 @@ class EnergyBalance:
     def __init__(self, ledger: Ledger):
         self.ledger = ledger
         self._first: float | None = None
-        self._last = self._most = 0.0
+        self._last = self._most = self._stored = 0.0
 
     def gain(self, begins: bool = False) -> str | None:
         """Message about energy gained without a cause, or None. Collective.
 
         A stable run may lose energy to the grid, and may gain a little in "usf". The gain is
         compared with the first energy and with the largest work of loads so far. A gain of more
-        than half of the larger one shows that the step is too long.
+        than half of the larger one, and of a tenth of the strain energy that a body under stress
+        has at first, shows that the step is too long. Half of this energy would be too much: it
+        is many times that of a wave in ground at rest.
 
         Args:
             begins: Whether a call of `step` begins. The user may have changed energy of the points
@@ -131,21 +133,22 @@ class EnergyBalance:
         total = ledger.moving() + work.internal - work.external
         if self._first is None:
             self._first = self._last = total
-            # the stored energy of a body under stress is part of the scale
             stored = ledger.energies().strain
-            self._most = abs(stored) if math.isfinite(stored) else 0.0
+            self._stored = abs(stored) if math.isfinite(stored) else 0.0
         if begins:
             self._first += total - self._last
         self._last = total
         self._most = max(self._most, abs(self._first), abs(work.external))
         gained = total - self._first
-        if math.isfinite(total) and not gained > 0.5 * self._most > 0.0:
+        bound = max(0.5 * self._most, 0.1 * self._stored)
+        if math.isfinite(total) and not gained > bound > 0.0:
             return None
+        stored = f", and {self._stored:.4g} J of first strain energy" if self._stored else ""
         return (
             f"{gained:.4g} J have come from nowhere beside {self._most:.4g} J of first energy "
-            "and work of loads"
+            f"and work of loads{stored}"
         )
 
     def forget(self) -> None:
         """Discard the history: the next state is the new first state."""
-        self._first, self._last, self._most = None, 0.0, 0.0
+        self._first, self._last, self._most, self._stored = None, 0.0, 0.0, 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import ufl
@@ -73,6 +75,22 @@ def test_consistent_mass_with_ghost_penalty_keeps_the_step_at_small_cuts():
         problem = mpm.Explicit(F, V.increment, points, mass="consistent")
         steps.append(problem.critical_step(exact=True))
     assert min(steps) == pytest.approx(0.575, rel=0.01)
+
+
+@pytest.mark.parametrize("basis", ["linear", "gimp"])
+def test_the_step_with_a_consistent_mass_is_stable_in_blocks(basis):
+    """Blocks that fill the grid, or end at its bottom and are cut elsewhere."""
+    for low, high in (((0, 0), (4, 4)), ((0, 0), (1, 1)), ((0.4, 0), (6.4, 4.4))):
+        n = math.ceil(high[0])
+        grid = mpm.create_lattice(COMM, [np.arange(n + 1.0)] * 2)
+        points = mpm.fill(grid, mpm.Box(low, high), 2, 1.0)
+        V = mpm.Space(grid, basis)
+        for nu in (0.0, 0.3, 0.45):
+            law = mpm.materials.Hencky(E=(1 + nu) * (1 - 2 * nu) / (1 - nu), nu=nu)
+            F = mpm.momentum(law, points, V.increment, V.test)
+            problem = mpm.Explicit(F, V.increment, points, mass="consistent")
+            exact = problem.critical_step(exact=True)
+            assert 0.5 * exact < problem.courant * problem.critical_step() < exact
 
 
 TIED = [

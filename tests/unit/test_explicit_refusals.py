@@ -9,7 +9,12 @@ from conftest import COMM, unit_grid
 from dolfinx import mesh
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DriftingRecordWarning, FormError, ParameterError
+from dolfinmpm._platform.errors import (
+    DriftingRecordWarning,
+    FormError,
+    InstabilityError,
+    ParameterError,
+)
 
 
 def block(extra=lambda points, u, v: 0, conditions=lambda V: (), kind=mpm.Explicit, **options):
@@ -116,3 +121,20 @@ def test_a_velocity_set_by_hand_is_half_a_step_behind():
     steps = round(0.01 / second)
     expected = 0.5 + 2.0 * (0.5 * (first + second) + (steps - 1) * second)
     assert points["velocity"][:, 1].mean() == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_wave_in_a_body_under_stress_does_not_grow_without_an_error():
+    """The strain energy at first is 1e10 times that of the wave, and the step is too long."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 1, 17), np.linspace(0, 0.1875, 4)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.1875)), 2, density=1000.0)
+    V, law = mpm.Space(grid, "bspline2"), mpm.materials.Hencky(1e6, 0.0)
+    F = mpm.momentum(law, points, V.increment, V.test)
+    bcs = mpm.prescribed(V, lambda x: x[0] > -1, 0)
+    bcs += mpm.prescribed(V, "left", 1) + mpm.prescribed(V, "right", 1)
+    problem = mpm.Explicit(F, V.increment, points, bcs, mass="consistent")
+    mpm.set_stress(law, points, np.diag([-2.79e5, 0.0, 0.0]))
+    x = points["x"][:, 0]
+    points["velocity"] = 1e-4 * np.stack([0 * x, np.sin(np.pi * x)], axis=1)
+    with pytest.raises(InstabilityError, match="of first strain energy"):
+        for k in range(1, 60):
+            problem.step(1.2936e-3 * k)
