@@ -20,7 +20,7 @@ import dolfinmpm as mpm
 SOIL = mpm.materials.Hencky(E=1e5, nu=0.3)
 
 # How many ranks the others need
-RANKS = {"DifferentCallsError": 2, "ImbalanceWarning": 3}
+RANKS = {"DifferentCallsError": 2, "ImbalanceWarning": 3, "LocalValueWarning": 2}
 
 
 def block(high=0.5, basis="gimp", cells=4):
@@ -219,6 +219,11 @@ def HeldLoadWarning():
     F += mpm.dirichlet(base, V.increment, V.test, law=SOIL)
     F += base.pressure(1e3, V.increment, V.test)
     mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
+
+
+def LocalValueWarning():
+    points, _ = block()
+    mpm.History().record(volume=float(points["V"].sum() + points.comm.rank))
 
 
 def LongPiecesWarning():

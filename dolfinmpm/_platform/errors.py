@@ -34,6 +34,7 @@ __all__ = [
     "IdleConditionWarning",
     "ImbalanceWarning",
     "InstabilityError",
+    "LocalValueWarning",
     "LongPiecesWarning",
     "LostMomentumWarning",
     "MigrationError",
@@ -174,6 +175,10 @@ class DriftingRecordWarning(DolfinMPMWarning):
 
 class LongPiecesWarning(DolfinMPMWarning):
     """The pieces of a boundary are longer than the leaves of a refined space there."""
+
+
+class LocalValueWarning(DolfinMPMWarning):
+    """A recorded number differs between ranks, and rank 0's number is written."""
 
 
 class LostMomentumWarning(DolfinMPMWarning):

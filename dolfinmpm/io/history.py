@@ -11,8 +11,15 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
-from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_together
+from dolfinmpm._platform import stages
+from dolfinmpm._platform.collective import check_same_call, collective, process
+from dolfinmpm._platform.errors import (
+    LocalValueWarning,
+    ParameterError,
+    UnknownNameError,
+    call_together,
+    warn,
+)
 from dolfinmpm._platform.html import table
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.figures import figure
@@ -20,6 +27,11 @@ from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.tables import check_suffix, write_table
 
 __all__ = ["History"]
+
+# Numbers that differ by less than this share of the largest one so far differ by rounding
+_ROUNDING = 1e-6
+# ... and so do those below this share of a unit
+_LEAST = 1e-9
 
 
 class History:
@@ -33,7 +45,8 @@ class History:
     records the times of the stages (s).
 
     Args:
-        comm: Ranks that record the same numbers.
+        comm: Ranks that record the same numbers: in a scene that a study runs on groups of ranks,
+            those of the group.
 
     Attributes:
         names: Names of the numbers, in the order of the first record.
@@ -51,11 +64,15 @@ class History:
         self._comm = comm
         self._rows: list[dict[str, float]] = []
         self.names: tuple[str, ...] = ()
+        # per name the largest size so far, and names that differ between ranks
+        self._sizes: dict[str, float] = {}
+        self._local: set[str] = set()
 
     def record(self, *unnamed: Any, **values: float | Probe) -> None:
         """Add one value per name, and the displacement of each probe.
 
-        With a probe all ranks must call it.
+        On several ranks all must call it, with the same number: a sum over a rank's own points
+        goes through `comm.allreduce(value)` before.
 
         Args:
             unnamed: Not allowed; values need names.
@@ -64,7 +81,13 @@ class History:
         Raises:
             ParameterError: There is no value, or a value without a name. Or the names differ from
                 those of the first record, or a value is not a single number.
+            DifferentCallsError: Ranks make different calls.
+
+        Warns:
+            LocalValueWarning: A number differs between ranks by more than rounding. The times of
+                stages may differ.
         """
+        check_same_call(self._comm, "History.record", names=", ".join(values))
         if unnamed:
             raise ParameterError(
                 f"record({shown(unnamed[0])}) has no name: write record(load=...) or another word"
@@ -78,8 +101,33 @@ class History:
         if not values:
             raise ParameterError("record needs a number or more, as in record(load=footing.load())")
         row = {name: _single(name, value) for name, value in values.items()}
+        # scenes of a study may run on groups of ranks
+        if self._comm.size > 1 and not process.inside:
+            self._compare(row)
         self.names = self.names or tuple(values)
         self._rows.append({name: row[name] for name in self.names})
+
+    def _compare(self, row: dict[str, float]) -> None:
+        """Warn of numbers that differ between ranks, once per name. Collective."""
+        on_ranks = np.empty((self._comm.size, len(row)))
+        self._comm.Allgather(np.array(list(row.values())), on_ranks)
+        for name, values in zip(row, on_ranks.T):
+            finite = values[np.isfinite(values)]
+            size = max(self._sizes.get(name, _LEAST), float(np.abs(finite).max(initial=0.0)))
+            self._sizes[name] = size
+            same = np.isclose(values, values[0], rtol=0.0, atol=_ROUNDING * size, equal_nan=True)
+            if same.all() or name in self._local or name in stages.STEP:
+                continue
+            self._local.add(name)
+            rank = int(np.argmin(same))
+            warn(
+                self._comm,
+                f"record({name}=...) differs between ranks: {values[0]:.6g} on rank 0, "
+                f"{values[rank]:.6g} on rank {rank}, and rank 0's number is written. Sum what "
+                f"each rank has of its own: {name}=comm.allreduce(value), or with op=MPI.MAX for "
+                "a largest value or a time",
+                LocalValueWarning,
+            )
 
     def __len__(self) -> int:
         return len(self._rows)
