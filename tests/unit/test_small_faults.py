@@ -1,0 +1,50 @@
+"""Grids that points cannot lie in, copies of objects, points taken away in every step."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import basix.ufl
+import numpy as np
+import pytest
+from dolfinx import mesh
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+
+LAW = mpm.materials.Hencky(1e6, 0.3)
+PYRAMID = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 1]]
+
+
+def block(tag=None):
+    """A block, with the second tag in its right half: points, space."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(4)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    if tag is not None:
+        points["tag"] = np.where(points["x"][:, 0] > 2, tag, 0)
+    return points, mpm.Space(grid, "gimp")
+
+
+def prisms():
+    return mesh.create_unit_cube(MPI.COMM_WORLD, 1, 1, 1, mesh.CellType.prism)
+
+
+def pyramid():
+    element = basix.ufl.element("Lagrange", "pyramid", 1, shape=(3,))
+    cells = np.array([[0, 1, 2, 3, 4]] if MPI.COMM_WORLD.rank == 0 else [], np.int64).reshape(-1, 5)
+    return mesh.create_mesh(MPI.COMM_WORLD, cells, np.array(PYRAMID, float), element)
+
+
+@pytest.mark.parametrize("made", [prisms, pyramid])
+def test_grids_of_prisms_and_pyramids_are_refused(made):
+    """`fill` had ended in a ValueError about arrays, and spaces had been made."""
+    grid, place = made(), np.full((1, 3), 0.4)
+    for call in (
+        lambda: mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), 2, 1.0),
+        lambda: mpm.Space(grid),
+        lambda: mpm.MaterialPoints.from_arrays(grid, place, [0.1], 1.0),
+        lambda: mpm.cell_size(grid),
+    ):
+        with pytest.raises(mpm.errors.UnsupportedGridError, match=r"of kind p.* or hexahedra"):
+            call()
