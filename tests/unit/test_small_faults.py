@@ -48,3 +48,9 @@ def test_grids_of_prisms_and_pyramids_are_refused(made):
     ):
         with pytest.raises(mpm.errors.UnsupportedGridError, match=r"of kind p.* or hexahedra"):
             call()
+
+
+def test_errors_are_imported_by_name():
+    from dolfinmpm.errors import ConvergenceError
+
+    assert ConvergenceError is mpm.errors.ConvergenceError
