@@ -54,3 +54,39 @@ def test_errors_are_imported_by_name():
     from dolfinmpm.errors import ConvergenceError
 
     assert ConvergenceError is mpm.errors.ConvergenceError
+
+
+@pytest.mark.parametrize("tags", [None, (0, 1)])
+def test_nitsche_refuses_a_boundary_between_tags_that_move_together(tags):
+    """Of a body with tags nothing had been looked at."""
+    points, V = block(tag=1)
+    u, v = V.increment, V.test
+    face = mpm.Boundary.from_polygon(points, [(2, 0), (2, 2)], closed=False)
+    F = mpm.momentum(LAW, points, u, v, tag=tags)
+    F += mpm.dirichlet(face, u, v, law=LAW, direction="normal", tag=0)
+    with pytest.raises(mpm.errors.ParameterError, match=r"100 % of .*run through the body"):
+        mpm.QuasiStatic(F, u, points, mpm.fixed(V, "left"), stabilisation="ghost")
+
+
+def test_nitsche_takes_a_boundary_between_bodies_with_fields_of_their_own():
+    points, _ = block(tag=1)
+    one, other = (mpm.Space(points.grid, "gimp", tag=tag) for tag in (0, 1))
+    face = mpm.Boundary.from_polygon(points, [(2, 0), (2, 2)], closed=False)
+    F = mpm.dirichlet(face, one.increment, one.test, (0.01, 0.0), law=LAW, tag=0)
+    for tag, V in enumerate((one, other)):
+        F += mpm.momentum(LAW, points, V.increment, V.test, tag=tag)
+    bcs = [*mpm.fixed(one, "left"), *mpm.fixed(other, "right")]
+    fields = [one.increment, other.increment]
+    mpm.QuasiStatic(F, fields, points, bcs, stabilisation="ghost").step()
+    assert float(np.abs(points["x"] - points["x0"])[points["tag"] == 1].max()) < 1e-12
+    assert face.force()[0] > 1e3
+
+
+def test_a_tag_apart_from_the_boundary_does_not_hide_it():
+    points, V = block()
+    points["tag"] = np.where(points["x"][:, 0] > 3, 1, 0)
+    face = mpm.Boundary.from_polygon(points, [(1, 0), (1, 2)], closed=False)
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    F += mpm.dirichlet(face, V.increment, V.test, law=LAW, direction="normal")
+    with pytest.raises(mpm.errors.ParameterError, match="run through the body"):
+        mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "left"), stabilisation="ghost")
