@@ -90,3 +90,43 @@ def test_a_tag_apart_from_the_boundary_does_not_hide_it():
     F += mpm.dirichlet(face, V.increment, V.test, law=LAW, direction="normal")
     with pytest.raises(mpm.errors.ParameterError, match="run through the body"):
         mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "left"), stabilisation="ghost")
+
+
+def test_objects_that_cannot_be_copied_say_so():
+    """A copy of a boundary had shared its markers, and `pickle` had named a lambda."""
+    points, _ = block()
+    face = mpm.Boundary.from_polygon(points, [(4, 0), (4, 2)], closed=False)
+    surface = mpm.Surface(points, lambda x: x[1] > 1.9, (0, 1))
+    for one in (points, face, surface):
+        for copied in (copy.copy, copy.deepcopy, pickle.dumps):
+            with pytest.raises(mpm.errors.ParameterError, match="cannot be copied or pickled"):
+                copied(one)
+    for shape in (mpm.Box((0, 0), (1, 2)), mpm.Disc((0, 0), 1.0), mpm.Plane((0, 0), (0, 1))):
+        with pytest.raises(mpm.errors.ParameterError, match=r"a function of positions"):
+            pickle.dumps(shape)
+        places = np.array([[0.2, 0.3], [3.0, 0.5]])
+        inside = shape.contains(places)
+        for copied in (copy.copy(shape), copy.deepcopy(shape)):
+            assert type(copied) is type(shape)
+            np.testing.assert_array_equal(copied.contains(places), inside)
+            copied.volume = 7.0
+            assert shape.volume != 7.0
+
+
+def test_points_that_were_removed_are_kept_until_the_next_step_only():
+    """Positions of all points ever removed had been kept."""
+    points, V = block()
+    faces = [
+        mpm.Boundary.from_polygon(points, [(4, 0), (4, 2)], closed=False, follows=follows)
+        for follows in (True, False)
+    ]
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    for face in faces:
+        F += mpm.dirichlet(face, V.increment, V.test, law=LAW, direction="normal", method="penalty")
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    for left in (0.5, 1.0):
+        points.remove(points["x"][:, 0] < left)
+        assert [len(face.removed) for face in faces] == [1, 0]
+        problem.step()
+        assert [len(face.removed) for face in faces] == [0, 0]
+    assert not hasattr(points, "removals")
