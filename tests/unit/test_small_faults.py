@@ -8,7 +8,7 @@ import pickle
 import basix.ufl
 import numpy as np
 import pytest
-from dolfinx import mesh
+from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
@@ -101,6 +101,10 @@ def test_objects_that_cannot_be_copied_say_so():
         for copied in (copy.copy, copy.deepcopy, pickle.dumps):
             with pytest.raises(mpm.errors.ParameterError, match="cannot be copied or pickled"):
                 copied(one)
+    moved = mpm.RigidBody(mpm.Disc((2, 2.5), 0.5), displacement=fem.Constant(points.grid, (0.0, 0.0)))
+    for copied in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(mpm.errors.ParameterError, match="a RigidBody with a dolfinx"):
+            copied(moved)
     for shape in (mpm.Box((0, 0), (1, 2)), mpm.Disc((0, 0), 1.0), mpm.Plane((0, 0), (0, 1))):
         with pytest.raises(mpm.errors.ParameterError, match=r"a function of positions"):
             pickle.dumps(shape)
