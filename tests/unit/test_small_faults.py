@@ -101,7 +101,8 @@ def test_objects_that_cannot_be_copied_say_so():
         for copied in (copy.copy, copy.deepcopy, pickle.dumps):
             with pytest.raises(mpm.errors.ParameterError, match="cannot be copied or pickled"):
                 copied(one)
-    moved = mpm.RigidBody(mpm.Disc((2, 2.5), 0.5), displacement=fem.Constant(points.grid, (0.0, 0.0)))
+    way = fem.Constant(points.grid, (0.0, 0.0))
+    moved = mpm.RigidBody(mpm.Disc((2, 2.5), 0.5), displacement=way)
     for copied in (copy.deepcopy, pickle.dumps):
         with pytest.raises(mpm.errors.ParameterError, match="a RigidBody with a dolfinx"):
             copied(moved)
