@@ -1,6 +1,7 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
 import importlib as _importlib
+import sys as _sys
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
@@ -71,6 +72,9 @@ with _idle_collector():
         regrid,
         start_at_rest,
     )
+
+# so that `from dolfinmpm.errors import ConvergenceError` finds the module too
+_sys.modules[f"{__name__}.errors"] = errors
 
 if _TYPE_CHECKING:
     from dolfinmpm import study

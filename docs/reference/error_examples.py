@@ -6,6 +6,7 @@ page of errors. `block` and `problem` are what all of them start from.
 
 from __future__ import annotations
 
+import tempfile
 import math
 import os
 import pathlib
@@ -20,7 +21,7 @@ import dolfinmpm as mpm
 SOIL = mpm.materials.Hencky(E=1e5, nu=0.3)
 
 # How many ranks the others need
-RANKS = {"DifferentCallsError": 2, "ImbalanceWarning": 3}
+RANKS = {"DifferentCallsError": 2, "ImbalanceWarning": 3, "LocalValueWarning": 2}
 
 
 def block(high=0.5, basis="gimp", cells=4):
@@ -226,6 +227,14 @@ def IdlePointsWarning():
     points["tag"][points["x"][:, 1] < 0.4] = 3
     F = mpm.momentum(SOIL, points, V.increment, V.test, tag=0)
     mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+
+
+def LocalValueWarning():
+    points, _ = block()
+    history = mpm.History()
+    history.record(volume=float(points["V"].sum() + points.comm.rank))
+    with tempfile.TemporaryDirectory() as folder:
+        history.write(f"{folder}/volume.csv")
 
 
 def LongPiecesWarning():

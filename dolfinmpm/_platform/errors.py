@@ -35,6 +35,7 @@ __all__ = [
     "IdlePointsWarning",
     "ImbalanceWarning",
     "InstabilityError",
+    "LocalValueWarning",
     "LongPiecesWarning",
     "LostMomentumWarning",
     "MigrationError",
@@ -179,6 +180,10 @@ class DriftingRecordWarning(DolfinMPMWarning):
 
 class LongPiecesWarning(DolfinMPMWarning):
     """The pieces of a boundary are longer than the leaves of a refined space there."""
+
+
+class LocalValueWarning(DolfinMPMWarning):
+    """A recorded number differs between ranks, and rank 0's number is written."""
 
 
 class LostMomentumWarning(DolfinMPMWarning):

@@ -21,6 +21,7 @@ from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.latticebasis import first_parts
 from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.refinement import Refinement, refinement_of
+from dolfinmpm.grid.cellkinds import check_cells
 from dolfinmpm.grid.lattice import (
     Lattice,
     cell_edges,
@@ -194,6 +195,7 @@ def _check_grid(grid: Any) -> None:
         if isinstance(grid, tuple) or hasattr(grid, "mesh") or hasattr(grid, "grid"):
             advice = "give the mesh of it"
         raise ParameterError(f"grid = {shown(grid)} must be a dolfinx.mesh.Mesh: {advice}")
+    check_cells(grid)
     if grid.geometry.x.dtype != np.float64:
         raise UnsupportedGridError(
             f"the grid's coordinates are {grid.geometry.x.dtype} and must be float64; create the "

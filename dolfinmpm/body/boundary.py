@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
     UnsupportedGridError,
     call_together,
 )
+from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
@@ -49,7 +50,7 @@ Array = npt.NDArray[np.float64]
 OWN = "F_own"
 
 
-class Boundary:
+class Boundary(Uncopied):
     """A boundary of a body, or a wall, that need not fit the grid.
 
     A boundary consists of markers: quadrature points with area vectors and stencils of their own.
@@ -79,7 +80,7 @@ class Boundary:
         longest: Greatest length of the pieces beside the cells that cut them (m); 0 if not known.
         tiles: Whether each marker is the middle of a segment with the marker's length. The
             segments together are the boundary.
-        heeded: Number of calls of `points.remove` after which the markers were looked at.
+        removed: Positions of points removed since the last step; see `leave_with_removed`.
         forces: Names of the markers' fields with the forces of conditions on the body in the last
             step (N), see `force`.
         ds: Measure over the markers.
@@ -129,8 +130,7 @@ class Boundary:
             )
         at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
-        self.forces: list[str] = []
-        self.tiles, self.longest, self.heeded = False, 0.0, len(points.removals)
+        self.tiles, self.longest, self.forces, self.removed = False, 0.0, list[str](), list[Array]()
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next_number(points.grid, 'boundary')}"
@@ -140,11 +140,11 @@ class Boundary:
         )  # fmt: skip
         check_outward(points, markers["x"], markers["area"], self.name)
         if follows:
+            points.followers.add(self)
             mark_far(points, markers, self.name)
         # laws with varying parameters have fields of the same names at points and markers
         markers.symbols.laws = points.laws
-        mark = {**markers.dx.metadata(), "boundary": self}
-        self.ds = markers.dx.reconstruct(metadata=mark)
+        self.ds = markers.dx.reconstruct(metadata={**markers.dx.metadata(), "boundary": self})
 
     @property
     def seen(self) -> Array:

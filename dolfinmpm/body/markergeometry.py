@@ -362,8 +362,8 @@ def check_outward(points: MaterialPoints, x: Array, area: Array, name: str) -> N
         )
 
 
-def volumes_beside(points: MaterialPoints, x: Array, area: Array) -> tuple[Array, Array]:
-    """Volumes of the nearby points in front of and behind the markers of all ranks. Collective.
+def volumes_beside(points: MaterialPoints, x: Array, area: Array, tags=None) -> tuple[Array, Array]:
+    """Volumes of nearby points with the tags in front of and behind all markers. Collective.
 
     Returns:
         Volumes times areas of the markers, shape (markers, 2), and areas, shape (markers,).
@@ -376,22 +376,24 @@ def volumes_beside(points: MaterialPoints, x: Array, area: Array) -> tuple[Array
     x, area = (np.concatenate(rows) for rows in zip(*everywhere))
     sizes = np.linalg.norm(area, axis=1)
     amounts = np.zeros((len(x), 2))
-    if len(points) and len(x):
+    of_tags = np.isin(points["tag"], points["tag"] if tags is None else list(tags))
+    places, volumes = points["x"][of_tags], placed.volume[of_tags]
+    if len(places) and len(x):
         from scipy.spatial import cKDTree
 
-        near = cKDTree(points["x"]).query_ball_point(x, _NEAR * size)
+        near = cKDTree(places).query_ball_point(x, _NEAR * size)
         of = np.repeat(np.arange(len(x)), [len(found) for found in near])
         rows = np.concatenate([np.asarray(found, np.intp) for found in near])
-        ahead = np.sum((points["x"][rows] - x[of]) * area[of], axis=1)
-        volume = placed.volume[rows] * sizes[of]
+        ahead = np.sum((places[rows] - x[of]) * area[of], axis=1)
+        volume = volumes[rows] * sizes[of]
         for column, here in enumerate((ahead > 0, ahead < 0)):
             np.add.at(amounts[:, column], of[here], volume[here])
     points.comm.Allreduce(MPI.IN_PLACE, amounts, op=MPI.SUM)
     return amounts, sizes
 
 
-def share_within(points: MaterialPoints, x: Array, area: Array) -> float:
-    """Share of a boundary that has the body on both sides. Collective."""
-    amounts, sizes = volumes_beside(points, x, area)
+def share_within(points: MaterialPoints, x: Array, area: Array, tags=None) -> float:
+    """Share of a boundary that has points with the tags on both sides. Collective."""
+    amounts, sizes = volumes_beside(points, x, area, tags)
     within = amounts.min(axis=1) > _BOTH * amounts.max(axis=1)
     return float(sizes[within].sum() / sizes.sum())

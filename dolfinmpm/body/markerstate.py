@@ -68,8 +68,7 @@ def leave_with_removed(boundary: Boundary) -> None:
         boundary: A boundary that follows its body.
     """
     points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
-    removals = points.removals[boundary.heeded :]
-    boundary.heeded = len(points.removals)
+    removals, boundary.removed = boundary.removed, []
     if not removals:
         return
     total = markers.configuration == "total"

@@ -115,7 +115,9 @@ def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
         )
     if change.count:
         before = _faces(points)
-        points.removals.append(np.stack([points["x"][going], points["x0"][going]], axis=1))
+        gone = np.stack([points["x"][going], points["x0"][going]], axis=1)
+        for boundary in points.followers:
+            boundary.removed.append(gone)
         with counted(points):
             points.fields.update({name: a[~going] for name, a in points.fields.items()})
             _changed(points)

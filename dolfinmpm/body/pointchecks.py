@@ -25,6 +25,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.body.axisymmetry import checked_radii
 from dolfinmpm.body.location import bounds, destinations, outside_cells
+from dolfinmpm.grid.cellkinds import check_cells
 from dolfinmpm.grid.tensors import determinants
 
 if TYPE_CHECKING:
@@ -69,11 +70,12 @@ def require_grid(grid: Any) -> None:
 
     Raises:
         ParameterError: It is no DOLFINx mesh.
-        UnsupportedGridError: Its cells are curved or of fewer dimensions than space, or
-            its coordinates are of single precision.
+        UnsupportedGridError: Its cells are prisms, pyramids, of several kinds, curved or of fewer
+            dimensions than space, or its coordinates are of single precision.
     """
     if not isinstance(grid, Mesh):
         raise ParameterError(f"grid should be a dolfinx.mesh.Mesh, got a {type(grid).__name__}")
+    check_cells(grid)
     if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
         raise UnsupportedGridError(
             "the background grid must have straight-sided cells of the dimension of space, got "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
@@ -107,8 +108,7 @@ class MaterialPoints(PointTable):
         revision: Number of changes of the rows of the arrays.
         interval: Start and length of the present step (s), or shares of a step, for laws of time.
         restored: Number of replacements of all rows by the rows of a checkpoint.
-        removals: Positions, present and first, of the points that each call of `remove` took from
-            this rank (m), shape (n, 2, gdim) each.
+        followers: Boundaries that follow the body; `remove` tells them what it took.
         partition: Rank that computes the points in a cell; None for the owner in DOLFINx's mesh.
         overlapping: Whether points may fill cells more than once, such as two phases of a mixture.
             False at first: then bodies that overlap cannot be joined, and points that overfill a
@@ -165,7 +165,7 @@ class MaterialPoints(PointTable):
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
         self.restored = 0
-        self.removals: list[npt.NDArray[np.float64]] = []
+        self.followers: WeakSet[Any] = WeakSet()
         self.interval = 0.0, 1.0
         self.partition: Partition | None = None
         bounds(grid)  # the first call is collective

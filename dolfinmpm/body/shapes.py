@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +62,22 @@ class Shape:
                 f"low = {shown(low)} and high = {shown(high)} must be corners (m), one number per "
                 "direction"
             )
+
+    def __deepcopy__(self, memo: Any) -> Shape:
+        """A shape of its own; its arrays are not written after it was made."""
+        copied = object.__new__(type(self))
+        copied.__dict__.update(self.__dict__)
+        return copied
+
+    def __copy__(self) -> Shape:
+        return self.__deepcopy__(None)
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        """Refuse `pickle`: a shape is a function of positions."""
+        raise ParameterError(
+            f"a {type(self).__name__} cannot be pickled, because it holds a function of positions: "
+            "make another one with the same arguments; copy.copy works"
+        )
 
     def contains(self, x: Array) -> npt.NDArray[np.bool_]:
         """Whether each position x (m), shape (n, gdim), is in the shape.

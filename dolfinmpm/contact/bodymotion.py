@@ -108,7 +108,22 @@ class Pose:
 Motion = Callable[[float], Any]
 
 
-class PrescribedMotion:
+class _Given:
+    """What a motion and a load have in common: a number, a function of t, or a constant."""
+
+    given: Any
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refuse to be copied or pickled with a constant, which belongs to a grid."""
+        if isinstance(self.given, fem.Constant):
+            raise ParameterError(
+                "a RigidBody with a dolfinx.fem.Constant cannot be copied or pickled, because the "
+                "constant belongs to the grid: make another body with the same arguments"
+            )
+        return super().__reduce_ex__(protocol)
+
+
+class PrescribedMotion(_Given):
     """One prescribed motion, a displacement or a rotation.
 
     Args:
@@ -328,7 +343,7 @@ class FreeMotion:
         return share * self.increment[: self._gdim], share * self.increment[self._gdim :]
 
 
-class _Load:
+class _Load(_Given):
     """A load: numbers, a DOLFINx constant, or a function of time."""
 
     def __init__(self, name: str, given: Any, size: int):

@@ -133,8 +133,8 @@ class EnergyBalance:
         total = ledger.moving() + work.internal - work.external
         if self._first is None:
             self._first = self._last = total
-            stored = ledger.energies().strain
-            self._stored = abs(stored) if math.isfinite(stored) else 0.0
+            strain = ledger.energies().strain
+            self._stored = abs(strain) if math.isfinite(strain) else 0.0
         if begins:
             self._first += total - self._last
         self._last = total

@@ -24,6 +24,7 @@ from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.solve.adaptation import adapt
+from dolfinmpm.solve.bodyrecords import BodyRecords
 from dolfinmpm.solve.loads import check_loads
 
 __all__ = ["CallMemory", "ExplicitCall", "Snapshot"]
@@ -273,7 +274,7 @@ class ExplicitCall:
         record.unknowns = problem.here.unknowns.total if problem.here is not None else 0
         if problem.comm.size > 1:
             record.imbalance = imbalance(problem.points)
-        record.bodies = problem.bodies.record()
+        record.bodies = BodyRecords(problem.bodies.record())
         self._loop.release()
         seal_results(problem.points)
         memory.moment, memory.single = problem.points.fields.moment(), record.parts == 1

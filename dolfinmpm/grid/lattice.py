@@ -20,6 +20,7 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
+from dolfinmpm.grid.cellkinds import check_cells
 from dolfinmpm.grid.constants import own_constant
 
 __all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of", "times_regridded"]
@@ -222,6 +223,7 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     >>> float(mpm.cell_size(create_unit_square(MPI.COMM_WORLD, 4, 4)).value)
     0.25
     """
+    check_cells(grid)
     gdim = grid.topology.dim
     simplex = grid.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
     sizes = (cell_volumes(grid) * (math.factorial(gdim) if simplex else 1)) ** (1 / gdim)

@@ -10,9 +10,16 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_together
+from dolfinmpm._platform.errors import (
+    LocalValueWarning,
+    ParameterError,
+    UnknownNameError,
+    call_together,
+    warn,
+)
 from dolfinmpm._platform.html import table
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.figures import figure
@@ -20,6 +27,11 @@ from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.tables import check_suffix, write_table
 
 __all__ = ["History"]
+
+# Numbers that differ by less than this share of the largest one differ by rounding
+_ROUNDING = 1e-6
+# ... and so do those below this share of a unit
+_LEAST = 1e-9
 
 
 class History:
@@ -55,7 +67,8 @@ class History:
     def record(self, *unnamed: Any, **values: float | Probe) -> None:
         """Add one value per name, and the displacement of each probe.
 
-        With a probe all ranks must call it.
+        All ranks record the same number: a sum over a rank's own points goes through
+        `comm.allreduce(value)` before. With a probe all ranks must call it.
 
         Args:
             unnamed: Not allowed; values need names.
@@ -92,11 +105,15 @@ class History:
 
     @collective(comm_of=lambda history, *_, **__: history._comm)
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a table as .csv or .json; see `study.write_table`. Collective.
+        """Write the numbers of rank 0 as .csv or .json; see `study.write_table`. Collective.
 
         Raises:
             ParameterError: The path is invalid, nothing has been recorded, or another existing
                 `History` writes to the path.
+
+        Warns:
+            LocalValueWarning: Numbers differ between ranks by more than rounding. The times of
+                stages may differ.
         """
         at = file_path("path", path)
         check_suffix(at)
@@ -110,7 +127,32 @@ class History:
 
         call_together(self._comm, check)
         take_paths(self, [at])
+        self._compare()
         write_table(self._rows, path, comm=self._comm)
+
+    def _compare(self) -> None:
+        """Warn of numbers that differ between ranks. Collective."""
+        names = self._comm.bcast(self.names)
+        own = [self[name] if name in self.names else np.empty(0) for name in names]
+        for name, columns in zip(names, zip(*self._comm.allgather(own))):
+            first = columns[0]
+            size = max(float(np.abs(first[np.isfinite(first)]).max(initial=0.0)), _LEAST)
+            for rank, other in enumerate(columns):
+                if len(other) != len(first) or name in stages.STEP:
+                    continue
+                same = np.isclose(first, other, rtol=0.0, atol=_ROUNDING * size, equal_nan=True)
+                if same.all():
+                    continue
+                k = int(np.argmin(same))
+                warn(
+                    self._comm,
+                    f"record({name}=...) differs between ranks: {first[k]:.6g} on rank 0, "
+                    f"{other[k]:.6g} on rank {rank} in record {k + 1}, and rank 0's number is "
+                    f"written. Sum what each rank has of its own: {name}=comm.allreduce(value), "
+                    "or with op=MPI.MAX for a largest value or a time",
+                    LocalValueWarning,
+                )
+                break
 
     def plot(
         self,

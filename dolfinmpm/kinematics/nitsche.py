@@ -28,7 +28,7 @@ constants are small there only with constraints between nodes (aggregation).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,7 +62,7 @@ from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
-__all__ = ["METHODS", "TRACE", "WeakCondition", "dirichlet"]
+__all__ = ["METHODS", "TRACE", "WeakCondition", "dirichlet", "refuse_within"]
 
 # Name of the markers' field of the constants of their cells (Pa/m), 0 if not known. The fields with
 # _x and _cell behind this name are the positions of the marker and its cell at that time.
@@ -255,7 +255,10 @@ def dirichlet(
     else:
         refuse_idle("tag", tag, None, "it is the tag of the law: give law=, too, or leave tag out")
     if method != "penalty":
-        _refuse_within(boundary, method)
+        tagged = boundary.points.comm.allgather(np.unique(boundary.points["tag"]))
+        # the problem knows which of several tags move with u
+        if len(np.unique(np.concatenate(tagged))) == 1:
+            refuse_within(boundary, method)
     onto = _projection(boundary, direction)
     shape = (d,) if direction is None else ()
     name = f"dirichlet{len(boundary.forces) + 1}"
@@ -294,14 +297,16 @@ def dirichlet(
     return condition_form(condition, term, "the condition (mpm.dirichlet)")
 
 
-def _refuse_within(boundary: Boundary, method: str) -> None:
-    """Raise ParameterError for a boundary through a body: it has two sides, with two tractions."""
+def refuse_within(boundary: Boundary, method: str, tags: Sequence[int] | None = None) -> None:
+    """Raise ParameterError for a boundary through a body: it has two sides, with two tractions.
+
+    Args:
+        boundary: The boundary.
+        method: "nitsche" or "skew".
+        tags: Tags of the points that move with the condition's field, or None for all points.
+    """
     points, markers = boundary.points, boundary.markers
-    tagged = points.comm.allgather(np.unique(points["tag"]))
-    if len(np.unique(np.concatenate(tagged))) > 1:
-        # bodies that touch may have fields of their own
-        return
-    share = share_within(points, markers["x"], markers["area"])
+    share = share_within(points, markers["x"], markers["area"], tags)
     if share > _WITHIN:
         raise ParameterError(
             f"{100 * share:.0f} % of the boundary '{boundary.name}' run through the body, with "

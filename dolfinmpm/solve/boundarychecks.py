@@ -21,7 +21,7 @@ from dolfinmpm.body.points import PointField
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, in_words
-from dolfinmpm.kinematics.nitsche import WeakCondition
+from dolfinmpm.kinematics.nitsche import WeakCondition, refuse_within
 from dolfinmpm.kinematics.walls import Wall
 from dolfinmpm.terms.boundaryterm import BoundaryTerm
 
@@ -70,6 +70,7 @@ def check_boundary_conditions(
         for condition in of.conditions:
             if isinstance(condition, WeakCondition) and condition.exact:
                 _check_law(condition, declarations)
+                _check_sides(condition, declarations)
                 _check_water(condition, carried)
                 _warn_of_loads(condition, form)
 
@@ -118,6 +119,20 @@ def _check_law(condition: WeakCondition, declarations: Sequence[Declaration]) ->
             f"the condition (mpm.dirichlet) at '{name}' has strain = \"{own.strain}\", and the "
             f'body there strain = "{near[0].strain}": give both the same'
         )
+
+
+def _check_sides(condition: WeakCondition, declarations: Sequence[Declaration]) -> None:
+    """Raise ParameterError if the body that moves with the condition's field is on both sides."""
+    own = condition.declaration
+    assert own is not None
+    tags: set[int] = set()
+    for moved in (d.tags for d in declarations if d.u is own.u):
+        if moved is None:
+            refuse_within(condition.boundary, condition.method)
+            return
+        tags |= set(moved)
+    if tags:
+        refuse_within(condition.boundary, condition.method, sorted(tags))
 
 
 def _check_water(condition: WeakCondition, carried: Sequence[PointField]) -> None:

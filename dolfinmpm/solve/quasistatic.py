@@ -25,6 +25,7 @@ from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
+from dolfinmpm.solve.bodyrecords import BodyRecords
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.description import size_and_solver
 from dolfinmpm.solve.failures import FIRST, begins_unbalanced, ease, failed_step, why_step_failed
@@ -275,7 +276,7 @@ class QuasiStatic(Problem):
             self.scheme.end(record if whole else None)
         self.share = share
         if self.bodies.all:
-            record.bodies |= self.bodies.record()
+            record.bodies = BodyRecords(record.bodies | self.bodies.record())
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
@@ -359,9 +360,8 @@ class QuasiStatic(Problem):
         points, record = self.points, self._record
         if self.bodies.all:
             self.scheme.add_body_work(self.bodies.commit(self.bodies.acting(operator)))
-        record.bodies = {}
-        for contact in operator.contacts:
-            record.bodies |= contact.record()
+        found = (contact.record() for contact in operator.contacts)
+        record.bodies = BodyRecords(row for rows in found for row in rows.items())
         record.migrated += commit(points, state)
         if self.comm.size > 1:
             record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)

@@ -92,8 +92,9 @@ class StepRecord:
     merged: int = 0
     bodies: dict[str, dict[str, Any]] = field(default_factory=BodyRecords)
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        object.__setattr__(self, name, BodyRecords(value) if name == "bodies" else value)
+    def __post_init__(self) -> None:
+        # a checkpoint has plain lists
+        self.bodies = BodyRecords(self.bodies)
 
     def add(self, iterations: int, residuals: list[float], linear_iterations: list[int]) -> None:
         """Add a solution of a substep.

@@ -220,7 +220,7 @@ class BoundaryTerm(Term):
             markers.add_field(APART)
         elif APART in markers.fields:
             markers.fields[APART][...] = 0.0
-        self.boundary.heeded = len(self.boundary.points.removals)
+        self.boundary.removed = []
         names = [name for name in self._kept if name != APART or name in values]
         markers.partition = self.boundary.points.partition
         order = values.get("order")

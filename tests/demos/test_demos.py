@@ -14,7 +14,7 @@ DEMOS = sorted((ROOT / "demos").glob("*.py"))
 # what each asserts of an exact or published value, and the value that it has had
 NUMBERS = {
     "cantilever": ("down", 0.8262),
-    "cone": ("found", 10.278),
+    "cone": ("found", 10.031),
     "consolidation": ("degree", 0.7650),
     "coupled_slope": ("limit", 5.231),
     "column_collapse": ("error", 2.609e-3),
@@ -30,7 +30,7 @@ NUMBERS = {
     "pipe": ("factor", 5.141),
     "plough": ("ratio", 5.876),
     "published_law": ("settlement", 0.11531),
-    "refined_cone": ("found", 10.315),
+    "refined_cone": ("found", 10.031),
     "growing_strip": ("angle", 2.3617),
     "new_stabilisation": ("worst", 0.5749),
     "runout": ("push", 3.559e6),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import tempfile
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,25 @@ def _of_studies(s, at):
     ]
 
 
+def _recorded(at, last):
+    """Records of one rank, and numbers that a rank has of its own points."""
+    history = mpm.History()
+    if not last:
+        history.record(a=1.0)
+    assert "nothing has been recorded" in _ends(lambda: history.write(at / "h.csv"))
+    history = mpm.History()
+    own = {"n": 1.0, "tiny": 1e-17 * last, "none": np.nan, "solve": 2.0 * last}
+    for k in range(2):
+        history.record(load=3.0 + last * k, sum=1.0 + 1e-12 * last, **own)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        history.write(at / "local.csv")
+    told = [str(w.message) for w in seen if w.category is mpm.errors.LocalValueWarning]
+    assert len(told) == (COMM.rank == 0)
+    assert all("record(load=...) differs between ranks: 3 on rank 0, 4 on" in t for t in told)
+    assert all("in record 2" in t and "comm.allreduce" in t for t in told)
+
+
 def _on_one_rank(s, at) -> None:
     """What is wrong on one rank alone, which the others cannot know."""
     last = COMM.rank == COMM.size - 1
@@ -168,10 +188,7 @@ def _on_one_rank(s, at) -> None:
     assert "vectors on the ranks" in _ends(
         lambda: mpm.study.condition_number(matrix, kernel=kernel)
     )
-    history = mpm.History()
-    if not last:
-        history.record(a=1.0)
-    assert "nothing has been recorded" in _ends(lambda: history.write(at / "h.csv"))
+    _recorded(at, last)
     # functions that fail on one rank
     index = 2 if last else 0
     where = mpm.Where(lambda x: x[index] < 9)
