@@ -6,10 +6,10 @@ page of errors. `block` and `problem` are what all of them start from.
 
 from __future__ import annotations
 
-import tempfile
 import math
 import os
 import pathlib
+import tempfile
 
 import numpy as np
 import ufl
