@@ -267,8 +267,8 @@ class Scene:
         deep = np.array([[0.0], [0.0], [-0.5 * self.bed[2]]])
         stiffness = 100 * float(ground.modulus(sand.E_ref, sand.exponent)(deep)[0]) / h
         for side in ("left", "right"):
-            # leaves at the plates are twice as large as at the share
-            spacing = 2 * h if args.refine else None
+            # leaves at the plates may be as small as those at the share
+            spacing = h if args.refine else None
             plate = mpm.Boundary.from_side(points, side, spacing=spacing)
             F += mpm.signorini(plate, u, v, stiffness_per_area=stiffness)
         bcs = mpm.rollers(V, "front", "back") + mpm.fixed(V, "bottom")
