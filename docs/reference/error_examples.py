@@ -233,8 +233,8 @@ def LocalValueWarning():
     points, _ = block()
     history = mpm.History()
     history.record(volume=float(points["V"].sum() + points.comm.rank))
-    with tempfile.TemporaryDirectory() as folder:
-        history.write(f"{folder}/volume.csv")
+    folder = points.comm.bcast(tempfile.mkdtemp())
+    history.write(f"{folder}/volume.csv")
 
 
 def LongPiecesWarning():
