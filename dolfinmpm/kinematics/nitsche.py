@@ -369,10 +369,8 @@ def _axis(boundary: Boundary, direction: Any) -> Expr:
 
 
 def _projection(boundary: Boundary, direction: Any) -> Callable[[Expr], Expr]:
-    if direction is None:
-        return lambda w: w
-    n = _axis(boundary, direction)
-    return lambda w: ufl.dot(w, n) * n
+    n = None if direction is None else _axis(boundary, direction)
+    return lambda w: w if n is None else ufl.dot(w, n) * n
 
 
 def _value(boundary: Boundary, value: Any, shape: tuple[int, ...], name: str) -> Expr:

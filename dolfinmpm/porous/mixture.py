@@ -183,8 +183,7 @@ def poromechanics(
     """
     check_points(points)
     u, p, v, q = unknowns(points, fields, tests)
-    fluid = fluid_of(fluid)
-    theta, level = time_weights(points, theta, rho_inf)
+    fluid, (theta, level) = fluid_of(fluid), time_weights(points, theta, rho_inf)
     form = momentum(soil, points, u, v, strain=strain, fbar=fbar, tag=tag)
     at = kinematics(points, u, strain)
     end = at if level is None else kinematics(points, u, strain, level.whole)
@@ -203,7 +202,6 @@ def poromechanics(
     unit = own_constant(points.grid, M.value)
     scale = unit / size_of(p)
     q = scale * q
-
     dX = points.dX("everywhere" if tag is None else tag)
     acts = p if suction is None else ufl.max_value(p, -suction_of(suction, points))
     if level is not None:
