@@ -28,10 +28,10 @@
 # radius h. The penalty of contact is soft enough for Newton's method to find the corners that
 # touch. The force has waves, because each row of points sticks to the tip before it goes past.
 #
-# Results in clay over four diameters, from 10 R to 18 R: the resistance is 13.8 % too large with
-# h = R/2, 11.0 % with R/3 and 9.7 % with R/4 (I_r = 100). The force still grows by 3.6 to 3.8 %.
-# With h = R/2 it is 10.1 % and 8.3 % too large for I_r = 50 and 200. Newton's method takes 5 to 8
-# iterations per step, 14 at most, and no step is halved.
+# Results in clay over four diameters, from 10 R to 18 R: the resistance is 9.2 % too large with
+# h = R/2, 8.5 % with R/3 and 7.8 % with R/4 (I_r = 100). The force still grows by 3.4 to 3.9 %.
+# With h = R/2 it is 8.4 % and 7.6 % too large for I_r = 50 and 200. Newton's method takes 6 to 9
+# iterations per step, and two steps are halved with R/4.
 #
 # Results in sand at a depth of 4 m: 2.4 and 2.5 MPa with ghost penalties in cells of R/4 and R/2.
 # Aggregation comes as far with R/3. With R/2 it does not, because ground beside the cone turns

@@ -28,8 +28,9 @@
 # from 0.4 on. The force at the start stays too large: at 30° the force at the end is 13 % above the
 # exact one. `pressure` is that of the slope, `mean_pressure` that of the force at the end.
 #
-# GIMP is as accurate from 20° on, with a force at the start that is two to three times as much
-# too large. Its domains grow with U. This is right for stretched soil, and wrong for soil that is
+# GIMP was not run again with the ghost penalty by the laws. With the former one it was as accurate
+# from 20° on, with a force at the start that is two to three times as much too large. Its domains
+# grow with U. This is right for stretched soil, and wrong for soil that is
 # sheared many times its size: at 15° no step converges from half the depth on. Domains that
 # follow the volume alone (`--domains volume`) come to the end there. They are 9 % low, and 14 %
 # low at 30°.
