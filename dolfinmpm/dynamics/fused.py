@@ -347,8 +347,8 @@ class FusedSteps:
             rigid.press(out)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
-            pushed, self._loads.gravity, dt, kick, step.begins, settings.mass_scaling,
-            settings.damping, usf, usf or usl, self.done,
+            pushed, self._loads.gravity, dt, kick, step.begins, settings.mapping.kept_share,
+            settings.mass_scaling, settings.damping, usf, usf or usl, self.done,
         )  # fmt: skip
         changes = window.at_points(pushed, self._points) if apart else None
         if not (usf or usl):

@@ -110,7 +110,8 @@ class GeneralSteps(ExplicitBase):
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(problem.terms, here, settings.mass_scaling)
         prescribed: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        V = self._velocities(mass, self._momenta(mass, field, x_node), here, step)
+        momenta = self._momenta(mass, field, x_node)
+        V = self._velocities(mass, momenta, here, step, prescribed)
         operator = Operator(problem.form, here)
         if self.kinks is not None:
             self.kinks.begin_step(field.basis)
@@ -149,7 +150,8 @@ class GeneralSteps(ExplicitBase):
             return state
         self._watch(operator, True)
         motion = V, V_end, V_move
-        self._work.external += work_at_nodes(operator, mass, forces, motion, step)
+        was = momenta.arrays[0], settings.mapping.kept_share
+        self._work.external += work_at_nodes(operator, mass, forces, motion, step, *was)
         self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, step.kick)
         self._work.add_stresses(points, state.fields, operator)
         if step.begins:
@@ -170,14 +172,9 @@ class GeneralSteps(ExplicitBase):
                 self.kinks.add_corners(active, ends)
 
     def _to_points(
-        self,
-        operator: Operator,
-        field: ActiveField,
-        x_node: Array,
-        motion: NodalMotion,
-        mass: Mass,
-        dt: float,
-    ) -> dict[str, Array]:
+        self, operator: Operator, field: ActiveField, x_node: Array, motion: NodalMotion,
+        mass: Mass, dt: float,
+    ) -> dict[str, Array]:  # fmt: skip
         """New velocities, accelerations and affine parts of the points. Collective."""
         points, mapping = self._problem.points, self._settings.mapping
         gradient = np.zeros((len(points), points.gdim, points.gdim))
@@ -219,11 +216,14 @@ class GeneralSteps(ExplicitBase):
         return mass.comm.allreduce(own, op=MPI.SUM)
 
     def _velocities(
-        self, mass: Mass, momenta: Nodal, here: Activation, step: ExplicitStep
+        self, mass: Mass, momenta: Nodal, here: Activation, step: ExplicitStep, after: Array
     ) -> Array:
         """Velocities of the nodes at the start of a step (m/s), shape (nodes, d). Collective."""
         last, dt = step.t - 0.5 * step.dt - step.kick, step.dt
         (before,) = velocities_at(self._problem, here, step, lambda v: v(last) * dt / step.share)
+        if step.begins:
+            # a side that moves where a run begins pushes nodes that move as the points do
+            before = np.where(after != 0.0, mass.own_velocities(momenta), before)
         fastest = float(np.abs(self._problem.points["velocity"]).max(initial=0.0))
         return mass.velocities(momenta, before, fastest).arrays[0]
 

@@ -179,6 +179,19 @@ class Mass:
                 warn(self.comm, text, SingularMassWarning)
         return V
 
+    def own_velocities(self, momenta: Nodal) -> Array:
+        """Momenta of the points over the row sums of the mass (m/s), shape (nodes, d). Collective.
+
+        Args:
+            momenta: Momenta (kg m/s), summed at the nodes' owners.
+        """
+        found = self.nodal()
+        found.arrays[0][:] = (
+            momenta.arrays[0] / np.where(self.lumped > 0, self.lumped, np.inf)[:, None]
+        )
+        found.spread()
+        return found.arrays[0]
+
     def _advice(self) -> str:
         """What would make the mass sound, without what it has already, for messages."""
         found = [] if self._terms.ghost else ["a ghost_mass above 0, such as 0.25"]

@@ -54,7 +54,7 @@ def _constrain_stopped(mark, friction, fixed, per_momentum, taken, mapped):
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def move_nodes(
-    box, columns, out, nodes, own, fixed, before, after, faces, pushed, g, dt, kick, begins,
+    box, columns, out, nodes, own, fixed, before, after, faces, pushed, g, dt, kick, begins, kept,
     mass_scaling, damping, known, last, done,
 ):  # fmt: skip
     """Accelerate the nodes of a box.
@@ -66,6 +66,7 @@ def move_nodes(
         pushed: Output: changes of velocity by forces alone; or empty.
         dt, kick: Time during which nodes move, and time during which forces act on them (s).
         begins: Whether a run begins with the step.
+        kept: Share of the points' own velocities in their new ones, see `Mapping.kept_share`.
         known: Whether velocities for the strain are set already.
         last: Whether the points move by these velocities. The sums are then cleared.
         done: Sums to add to, see `FusedSteps.done`.
@@ -73,7 +74,7 @@ def move_nodes(
     _, mass, force, second = columns
     d = fixed.shape[1]
     marks, friction, dashpots, taken, resisted = faces
-    ends, forces, resisting = np.empty(d), np.empty(d), np.zeros(d)
+    ends, forces, resisting, given = np.empty(d), np.empty(d), np.zeros(d), np.empty(d)
     resists = damping > 0.0 or dashpots.shape[0] > 0
     work = grid = damped = rubbed = start = 0.0
     for block in range(box[0], box[1]):
@@ -85,11 +86,13 @@ def move_nodes(
                 y = out[k, i] * per_mass
                 f = out[k, force + i] + m * g[i]
                 resisting[i] = 0.0
+                # a side that moves where a run begins has met the body before
+                given[i] = y if begins and after[k, i] != 0.0 else before[k, i]
                 if damping > 0.0:
-                    resisting[i] = damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
+                    resisting[i] = damping * abs(f) * np.sign(given[i] if fixed[k, i] else y)
                     f -= resisting[i]
                 forces[i] = f
-                ends[i] = before[k, i] if fixed[k, i] else y + kick * f * per_mass / mass_scaling
+                ends[i] = given[i] if fixed[k, i] else y + kick * f * per_mass / mass_scaling
             if dashpots.shape[0] > 0 and m > 0.0:
                 for i in range(d):
                     if not fixed[k, i]:
@@ -112,10 +115,13 @@ def move_nodes(
                 y, f, end = out[k, i] * per_mass, forces[i], ends[i]
                 change = kick * f * per_mass / mass_scaling
                 if fixed[k, i]:
-                    y, end, change = before[k, i], after[k, i], 0.0
                     if own[k]:
-                        # a prescribed motion works against forces and inertia of the node
-                        work += (m * mass_scaling * (end - y) - kick * f) * end
+                        # a prescribed motion works against forces and inertia of the node; the
+                        # impulse by which a run begins works on the mean of both velocities
+                        was, end = kept * given[i] + (1.0 - kept) * y, after[k, i]
+                        mean = 0.5 * (was + end) if begins else end
+                        work += m * mass_scaling * (end - was) * mean - kick * f * end
+                    y, end, change = given[i], after[k, i], 0.0
                 nodes[k, force + i] = end - y
                 if resists:
                     # it takes energy by the mean of the strains' velocities before and after it

@@ -163,6 +163,8 @@ def work_at_nodes(
     forces: Nodal,
     motion: tuple[Array, Array, Array],
     step: ExplicitStep,
+    momenta: Array,
+    kept: float,
 ) -> float:
     """Work of loads and of prescribed motions in an explicit step (J). Collective.
 
@@ -173,15 +175,21 @@ def work_at_nodes(
         motion: Velocities at the start and at the end of the step, and velocities by which the
             points move (m/s), shape (nodes, d).
         step: The step.
+        momenta: Momenta of the points' velocities at the nodes (kg m/s), likewise.
+        kept: Share of these velocities in the new ones, see `Mapping.kept_share`.
     """
     V, V_end, V_move = motion
     external = _load_work(operator, [step.dt * V_move])
     here = operator.here
     if here.driven:
-        # a prescribed motion changes the momentum of its nodes, against their forces
-        impulse = mass.times(V_end - V).arrays[0] - step.kick * forces.arrays[0]
+        # a prescribed motion changes the momentum of its nodes, against their forces; the impulse
+        # by which a run begins works on the mean of both velocities
         at = here.unknowns.fields[0].places[1]
-        done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
+        before = kept * mass.times(V).arrays[0] + (1.0 - kept) * momenta
+        impulse = mass.times(V_end).arrays[0] - before
+        mean = 0.5 * (V + V_end) if step.begins else V_end
+        done = float(impulse.reshape(-1)[at] @ mean.reshape(-1)[at])
+        done -= step.kick * float(forces.arrays[0].reshape(-1)[at] @ V_end.reshape(-1)[at])
         external += mass.comm.allreduce(done, op=MPI.SUM)
     return external
 

@@ -216,7 +216,10 @@ def test_points_at_the_grids_edges():
 
 @pytest.mark.parametrize("scheme", ["usl", *(pytest.param(s, marks=LONG) for s in ("musl", "usf"))])
 def test_prescribed_motion_damping_and_scaled_mass(scheme):
-    compare(body=mpm.Box((-1, -1), (0.6, 0.4)), averaged=False, scheme=scheme, **PUSHED)
+    # fused steps find the critical step anew after 20 steps, others in every call: points have the
+    # speed of the side by then. With this Courant number both take as many steps
+    body = mpm.Box((-1, -1), (0.6, 0.4))
+    compare(body=body, averaged=False, scheme=scheme, courant=0.3, **PUSHED)
 
 
 def schemes(daily, solid):
