@@ -76,8 +76,6 @@ def _why_not_the_form(form: WeakForm) -> str | None:
     space = form.spaces[0]
     if points.gdim == 1:
         return "the loops are for two and three dimensions"
-    if points.axisymmetric:
-        return "axisymmetric points"
     if space.configuration == "total":
         return "the configuration is total Lagrangian"
     if space.coarsen > 1:
@@ -92,6 +90,8 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         return "some laws are UMATs, and others are not"
     if published and declarations[0].fbar:
         return "F-bar acts on UMATs"
+    if published and points.axisymmetric:
+        return "UMATs act on axisymmetric points"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "F-bar acts in laws by tags"
     if any(d.fbar == VOLUMES for d in declarations):

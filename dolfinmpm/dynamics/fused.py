@@ -269,7 +269,7 @@ class FusedSteps:
             data = (*data, laws.calls.data)
         loop = kernel(
             self._points.gdim, window.basis.degree, self._growth, laws.kind, affine, parts, general,
-            means, laws.calls is not None,
+            means, laws.calls is not None, self._points.axisymmetric,
         )  # fmt: skip
         return loop(
             window.grid, window.nodes, window.out, data, laws.table, dt, share, *switches, rows,

@@ -190,7 +190,7 @@ class RigidContacts:
         x, half = points["x"][rows], points["l"][rows]
         if not basis.averaged:
             half = np.zeros_like(x)
-        found = basis.stencils_in(x, half, *basis.spans(x, half))
+        found = basis.stencils_in(x, half, *basis.spans(x, half), points.axisymmetric)
         # points move to other ranks before they reach the window's edge
         assert found is not None
         return found

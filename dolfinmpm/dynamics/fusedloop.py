@@ -14,9 +14,10 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm._platform.simd import add_at, integers, matrix, number_at, numbers, vectors
+from dolfinmpm._platform.simd import add_at, axpy, four, integers, matrix, number_at, numbers, vectors
 from dolfinmpm.basis.uniformweights import middle_count
 from dolfinmpm.dynamics.fusednodes import (
+    radial_slopes,
     add_shares,
     affine_columns,
     centre_cell,
@@ -75,6 +76,7 @@ def kernel(
     general: bool,
     means: int = 0,
     umat: bool = False,
+    ring: bool = False,
 ):
     """The loop for a dimension, a basis, a strain formulation, an affine part and a pass.
 
@@ -86,6 +88,7 @@ def kernel(
     stresses. Without `advance` points only scatter where they are, as `new` tells, and without
     `spread` they do not: the first pass of all and the last one need no loops of their own.
     Growth of domains and `means` of F-bar: see `dolfinmpm.dynamics.passes`. `umat`: laws are UMATs.
+    `ring`: points go around the axis, see `dolfinmpm.body.axisymmetry`.
     """
     averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
     velocity, strain, move, same, new = parts
@@ -93,6 +96,8 @@ def kernel(
     used = means > 0 and not taken
     apic, tpic = affine == 1, affine == 2
     gradient, moments = strain or (tpic and velocity), apic and velocity
+    # strains have a component across the section of a ring
+    ds = 3 if ring else d
     width, mass, force, second = (8 * column for column in COLUMNS[d])
     # points that take velocities are strained by the same, others by those that nodes have for it
     column = 0 if velocity else second
@@ -150,11 +155,13 @@ def kernel(
         scratch_at, inner_at = scratch.ctypes.data, internal.ctypes.data
         parameters_at = parameters.ctypes.data
         single, alike = which.shape[0] == 1, body.shape[0] == 0
+        radial = four(0.0, 0.0, 1.0, 0.0)
         work = outer = fastest = latest = projected = 0.0
         left = behind = 0
         for k in range(3):
             g[k] = reach[k] = 0.0
-        t[2, 2] = 0.0
+            for j in range(3):
+                t[k, j] = y[k, j] = h[k, j] = 0.0
         number_of_points = rows.size if general else X.shape[0]
         for index in range(number_of_points):
             # an index without a sign needs no look at whether it counts from the end
@@ -177,26 +184,33 @@ def kernel(
                     left += 1
                     continue
                 base = dot(d, i, step)
+                if means > 0 and not centres:
+                    shares_of(
+                        d, general, lines, uniform, degree, per_length, x, reach, i, n, dS, L,
+                        room, part, slope,
+                    )  # fmt: skip
+                if ring and averaged:
+                    radial_slopes(
+                        lines[0], uniform, degree, i[0], n[0], x[0], reach[0], dS[0], part, slope
+                    )
                 gather(
                     d, nodes_at + base, step, i, n, S, dS, x, places, gradient, moments, change, Y,
                     H, B, v_new, dv, h,
                 )  # fmt: skip
+                if ring:
+                    h[0, 2] = h[1, 2] = h[2, 0] = h[2, 1] = 0.0
+                    h[2, 2] = v_new[0] / x[0]
                 if strain:
-                    plus_one(d, dt, h, 1.0, a)
+                    plus_one(ds, dt, h, 1.0, a)
                 mean = 0.0
                 if means > 0:
                     cell = cells_at + dot(d, i, cell_step)
                     if centres:
                         cell += centre_cell(lines, i, n, degree, x, cell_step)
-                    else:
-                        shares_of(
-                            d, general, lines, uniform, degree, per_length, x, reach, i, n, dS, L,
-                            room, part, slope,
-                        )  # fmt: skip
                     if taken:
-                        take(d, F, p, f)
-                        volume = vp * determinant(d, f)
-                        grown = determinant(d, a) if kind == LAW else dt * trace(d, h)
+                        take(ds, F, p, f)
+                        volume = vp * determinant(ds, f)
+                        grown = determinant(ds, a) if kind == LAW else dt * trace(ds, h)
                         if centres:
                             add_at(cell, volume)
                             add_at(cell + 8, volume * grown)
@@ -226,8 +240,8 @@ def kernel(
                 if strain:
                     if umat:
                         take(d, F, p, D)
-                    deformed(d, a, F, p, f)
-                    J, stretched = determinant(d, f), determinant(d, a)
+                    deformed(ds, a, F, p, f)
+                    J, stretched = determinant(ds, f), determinant(ds, a)
                     if not (J > 0.0 and stretched > 0.0):
                         return np.intp(p), left, behind
                     ratio = 1.0
@@ -235,18 +249,18 @@ def kernel(
                         # F-bar: the law sees the mean's change of volume. In "usf" the strain of
                         # the first step takes no time.
                         shared = used and dt > 0.0
-                        plus_one(d, 1.0, h, (mean / dt - trace(d, h)) / d if shared else 0.0, u)
+                        plus_one(ds, 1.0, h, (mean / dt - trace(ds, h)) / ds if shared else 0.0, u)
                     elif used:
                         q = mean / stretched
                         if not q > 0.0:
                             return np.intp(p), left, behind
-                        scaled(a, root(d, q))
+                        scaled(a, root(ds, q))
                         J_bar[p] *= mean
                         ratio = J / J_bar[p]
                     which_law = np.intp(0) if single else np.intp(which[p])
                     if kind == NEO:
                         lmbda, mu = parameters[which_law, 0], parameters[which_law, 1]
-                        neo_hookean(d, f, J, lmbda, mu, t)
+                        neo_hookean(ds, f, J, lmbda, mu, t)
                     elif umat:
                         if not umat_stress(
                             d, kind == JAUMANN, points[16], law, which_law, dt, u, D, a,
@@ -261,7 +275,7 @@ def kernel(
                             add_symmetric(d, dt, u, y)
                         else:
                             # the increment by the middle of the step, and the turn of its spin
-                            if not carried(d, 0.5 * dt, u, u) > 0.0:
+                            if not carried(ds, 0.5 * dt, u, u) > 0.0:
                                 return np.intp(p), left, behind
                             turned(d, dt, u, y)
                             add_symmetric(d, dt, u, y)
@@ -275,6 +289,9 @@ def kernel(
                         if d == 2:
                             # across the plane, kept as the law has it
                             trial[0] = e_out[p]
+                            if ring:
+                                trial[0] += logarithm(a[2, 2]) if kind == LAW else dt * u[2, 2]
+                                e_out[p] = trial[0]
                         for k in range(3 - d, 3):
                             trial[k] = 0.5 * logarithm(r[k]) if kind == LAW else r[k]
                         for k in range(3):
@@ -311,14 +328,18 @@ def kernel(
                         scaled(t, J)
                     if kind != SMALL and (kind != NEO or record):
                         # the rate by the middle of the step
-                        carried(d, 0.5 * dt, h, h)
+                        carried(ds, 0.5 * dt, h, h)
                     if kind != NEO:
                         take_symmetric(d, d, tau_old, p, y)
-                        work += vp * (contracted(d, y, h) + contracted(d, t, h))
+                        if ring:
+                            y[2, 2] = tau_old[p, 3]
+                        work += vp * (contracted(ds, y, h) + contracted(ds, t, h))
                     if kind != NEO or record:
                         keep_symmetric(d, d, tau_old, p, t)
+                        if ring:
+                            tau_old[p, 3] = t[2, 2]
                     if record:
-                        latest += vp * contracted(d, t, h)
+                        latest += vp * contracted(ds, t, h)
                         V[p] = J * vp
                         q = 1.0 if kind == SMALL else 1.0 / J
                         keep(d, stress, p, t, q)
@@ -332,9 +353,12 @@ def kernel(
                     )  # fmt: skip
                 if same == 2:
                     force_vectors(d, -vp, t, T)
+                    G = force_vector(d, 1.0, g)
+                    if ring:
+                        G = axpy(-vp * t[2, 2] / x[0], radial, G)
                     scatter(
                         d, out_at + base, step, i, n, S, dS, x, places, False, True, False, 0,
-                        force, mp, T[0], K, force_vector(d, 1.0, g), T,
+                        force, mp, T[0], K, G, T,
                     )  # fmt: skip
                 if move:
                     if tpic:
@@ -376,21 +400,32 @@ def kernel(
                         return np.intp(p), left, behind
                     if kind == NEO and strain and advance:
                         keep_symmetric(d, d, tau_old, p, t)
+                        if ring:
+                            tau_old[p, 3] = t[2, 2]
                     skipped[1, behind] = rows[index]
                     behind += 1
                     continue
                 if not within(d, i, n, low, top):
                     return np.intp(p), left, behind
+                G = force_vector(d, 1.0, g)
                 if new == 2:
                     if not (strain and advance):
                         take_symmetric(d, d, tau_old, p, t)
+                        if ring:
+                            t[2, 2] = tau_old[p, 3]
                     force_vectors(d, -vp, t, T)
+                    if ring:
+                        G = axpy(-vp * t[2, 2] / x[0], radial, G)
+                        if averaged:
+                            radial_slopes(
+                                lines[0], uniform, degree, i[0], n[0], x[0], reach[0], dS[0],
+                                part, slope,
+                            )  # fmt: skip
                 if affine:
                     affine_columns(d, apic, cut, mp, C, p, i, n, S, x, places, K)
                 scatter(
                     d, out_at + dot(d, i, step), step, i, n, S, dS, x, places, True, new == 2,
-                    affine > 0, mass_apart, force, mp, momentum_vector(d, mp, v[p], mp), K,
-                    force_vector(d, 1.0, g), T,
+                    affine > 0, mass_apart, force, mp, momentum_vector(d, mp, v[p], mp), K, G, T,
                 )  # fmt: skip
         done[0] += 0.5 * dt * work
         done[1] += dt * outer

@@ -20,7 +20,13 @@ import numpy as np
 
 from dolfinmpm._platform.simd import add_at, axpy, four, lanes, load, number_at, times
 from dolfinmpm._platform.simd import store as put
-from dolfinmpm.basis.lineweights import cell_shares, line_shares, line_weights, overlapped
+from dolfinmpm.basis.lineweights import (
+    cell_shares,
+    line_shares,
+    line_weights,
+    overlapped,
+    ring_slopes,
+)
 from dolfinmpm.basis.uniformweights import middle_weights
 from dolfinmpm.dynamics.smalltensors import INLINE
 
@@ -35,6 +41,7 @@ __all__ = [
     "locate_in_middle",
     "mean_of",
     "momentum_vector",
+    "radial_slopes",
     "scatter",
     "shares_of",
     "take_moments",
@@ -72,6 +79,21 @@ def locate_in_middle(d, degree, averaged, x, half, start, per_length, last, i, S
         )
         known = known and more
     return known
+
+
+@numba.njit(cache=True, error_model="numpy")
+def radial_slopes(line, uniform, degree, first, count, x, half, dS, part, slope):
+    """Averages of radial slopes over the domain of a ring; see `ring_slopes`.
+
+    Args:
+        count: Number of functions, with those of cells behind the domain.
+        others: See `ring_slopes`.
+    """
+    cells = count - degree
+    while cells > 1 and line[first + cells - 1] >= x + half:
+        cells -= 1
+        dS[cells + degree] = 0.0
+    ring_slopes(line, uniform, degree, first, cells, x, half, dS, part, slope)
 
 
 @numba.njit(**INLINE)

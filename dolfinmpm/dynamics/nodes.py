@@ -119,7 +119,7 @@ def move_nodes(
                         # a prescribed motion works against forces and inertia of the node; the
                         # impulse by which a run begins works on the mean of both velocities
                         was, end = kept * given[i] + (1.0 - kept) * y, after[k, i]
-                        mean = 0.5 * (was + end) if begins else end
+                        mean = 0.5 * (given[i] + end) if begins else end
                         work += m * mass_scaling * (end - was) * mean - kick * f * end
                     y, end, change = given[i], after[k, i], 0.0
                 nodes[k, force + i] = end - y

@@ -264,6 +264,8 @@ def _rows(values: Sequence[Array]) -> Array:
 
 # Rows and columns of a symmetric tensor, in the order of its components in the loops
 _PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
+# The same with the hoop component of axisymmetric points
+_RINGS = [0, 1, 0, 2], [0, 1, 1, 2]
 
 
 # Fields that the kept arrays depend on, besides the elastic strain
@@ -303,8 +305,9 @@ class PointArrays:
             e_out = points["stress"][:, 2, 2].copy()
         # Kirchhoff stresses; by columns, because fancy indexing is ten times slower
         stress, J = points["stress"], 1.0 if small else points["V"] / points["V0"]
-        tau = np.empty((n, len(_PAIRS[d][0])))
-        for k, (i, j) in enumerate(zip(*_PAIRS[d])):
+        self._pairs = _RINGS if points.axisymmetric else _PAIRS[d]
+        tau = np.empty((n, len(self._pairs[0])))
+        for k, (i, j) in enumerate(zip(*self._pairs)):
             tau[:, k] = J * stress[:, i, j]
         self.rows, self.skipped = np.arange(n, dtype=np.int32), np.empty((2, n), np.int32)
         self._own = point_masses(points), tau, e_out
@@ -336,8 +339,7 @@ class PointArrays:
         """Take stresses of the strains now, where the loops do not keep them."""
         if self._laws.kind == NEO:
             _, numbers, _, which = self._laws.table
-            F, pairs = self._points["F"], _PAIRS[self._points.gdim]
-            self.data[-2][:] = kirchhoff(F, numbers, which, pairs)
+            self.data[-2][:] = kirchhoff(self._points["F"], numbers, which, self._pairs)
 
     def publish(self) -> None:
         """Give the fields what steps without a record keep for themselves and go on with."""
@@ -345,7 +347,7 @@ class PointArrays:
         small = self._laws.kind == SMALL
         J = determinants(points["F"])
         points["V"][:] = J * points["V0"]
-        i, j = _PAIRS[points.gdim]
+        i, j = self._pairs
         self.strain()
         sigma = tau if small else tau / J[:, None]
         points["stress"][:, i, j] = sigma
