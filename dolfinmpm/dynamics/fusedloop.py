@@ -14,7 +14,16 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm._platform.simd import add_at, axpy, four, integers, matrix, number_at, numbers, vectors
+from dolfinmpm._platform.simd import (
+    add_at,
+    axpy,
+    four,
+    integers,
+    matrix,
+    number_at,
+    numbers,
+    vectors,
+)
 from dolfinmpm.basis.uniformweights import middle_count
 from dolfinmpm.dynamics.fusednodes import (
     radial_slopes,

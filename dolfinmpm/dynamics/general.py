@@ -97,6 +97,8 @@ class GeneralSteps(ExplicitBase):
         here = problem.activate(step)
         if problem.form.boundaries:
             here, self._stiffness = weighed(problem.form, here)
+        if self.kinks is not None:
+            self.kinks.begin_step(here.fields[0].basis)
         return here
 
     @stages.commit
@@ -113,8 +115,6 @@ class GeneralSteps(ExplicitBase):
         momenta = self._momenta(mass, field, x_node)
         V = self._velocities(mass, momenta, here, step, prescribed)
         operator = Operator(problem.form, here)
-        if self.kinks is not None:
-            self.kinks.begin_step(field.basis)
         problem.bodies.put(0.0)
         V_strain, strained = self._before_forces(operator, mass, V, step)
         predicted = strained * V_strain if settings.scheme == "usf" else None
