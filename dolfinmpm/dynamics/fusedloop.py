@@ -26,7 +26,6 @@ from dolfinmpm._platform.simd import (
 )
 from dolfinmpm.basis.uniformweights import middle_count
 from dolfinmpm.dynamics.fusednodes import (
-    radial_slopes,
     add_shares,
     affine_columns,
     centre_cell,
@@ -37,6 +36,7 @@ from dolfinmpm.dynamics.fusednodes import (
     locate_in_middle,
     mean_of,
     momentum_vector,
+    radial_slopes,
     scatter,
     shares_of,
     take_moments,
