@@ -138,6 +138,9 @@ ROWS = (
         each("explicit_speed", "--repeat 3"), pace("bspline2"), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
     Row("explicit-gimp", SPEED, "the same, GIMP", each("explicit_speed", "--bases gimp --repeat 3"),
         pace("gimp"), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
+    Row("explicit-rings", SPEED, "the same, GIMP, axisymmetric: neo-Hookean, Mohr–Coulomb",
+        each("explicit_speed", "--bases gimp --laws neo-hookean,mohr-coulomb --axisymmetric"),
+        pace("gimp"), "{:.1f}, {:.1f}"),
     Row("explicit-3d", SPEED, "the same in 3D, quadratic splines, 97 336 points: neo-Hookean, "
         "Mohr–Coulomb", each("explicit_speed", "--dimension 3 --laws neo-hookean,mohr-coulomb"),
         pace("bspline2"), "{:.1f}, {:.1f}"),

@@ -9,7 +9,7 @@
 # They have the same scene, basis, law and double precision, and their points end at the same
 # places. Under `mpirun` the time is that of all ranks together. With `--tools` rigid bodies rub
 # along the upper side of the block. Each case then runs without them, with them, and with them in
-# general steps that are not fused.
+# general steps that are not fused. With `--axisymmetric` the block is the section of a ring.
 
 # %%
 from __future__ import annotations
@@ -55,6 +55,7 @@ class Input(Options):
     mapping: str = "flip"
     points: int = option(100_000, "about so many")
     dimension: int = option(2, choices=(2, 3))
+    axisymmetric: bool = option(False, "a ring, with the axis 1 m beside the block")
     points_per_cell: int = natural(2, "in each direction")
     steps: int = natural(100, "in each run that is timed")
     repeat: int = 5
@@ -64,6 +65,8 @@ class Input(Options):
     def _check(self):
         if self.peers and (MPI.COMM_WORLD.size > 1 or self.dimension > 2):
             raise ValueError("other codes are run on one rank and in two dimensions")
+        if self.axisymmetric and (self.peers or self.tools or self.dimension > 2):
+            raise ValueError("a ring has two dimensions, no tools and no other codes beside it")
 
 
 args = Input.parse()
@@ -71,6 +74,8 @@ comm, d = MPI.COMM_WORLD, args.dimension
 cells = max(1, round(args.points ** (1 / d) / args.points_per_cell))
 h = 1.0 / cells
 COURANT = 0.3
+# the block's lower corner (m)
+CORNER = np.array([1.0 if args.axisymmetric else 0.0, 0.0, 0.0][:d])
 
 
 def swirl(x):
@@ -98,11 +103,10 @@ class Ours:
     """A block in this package, ready to be timed."""
 
     def __init__(self, law, basis, scheme, tool=None, fused=True):
-        low, high = [-MARGIN * h] * d, [1 + MARGIN * h] * d
         n = [cells + 2 * MARGIN] * d
-        grid = box_grid([low, high], n)
-        block = mpm.Box((0,) * d, (1,) * d)
-        self.points = mpm.fill(grid, block, args.points_per_cell, DENSITY)
+        grid = box_grid([CORNER - MARGIN * h, CORNER + 1 + MARGIN * h], n)
+        block, rings = mpm.Box(CORNER, CORNER + 1), {"axisymmetric": args.axisymmetric}
+        self.points = mpm.fill(grid, block, args.points_per_cell, DENSITY, **rings)
         averaged = basis.startswith("averaged-")
         name = basis.removeprefix("averaged-")
         splines = {"averaged": averaged} if name.startswith("bspline") else {}
@@ -116,7 +120,7 @@ class Ours:
         # general steps take ten times as long
         self.share = 1.0 if fused else 0.1
         self.points.add_field("velocity", (d,), "m/s")
-        self.points["velocity"] = swirl(self.points["x"])
+        self.points["velocity"] = swirl(self.points["x"] - CORNER)
         self.problem = mpm.Explicit(
             F, V.increment, self.points, mpm.fixed(V, "bottom"), scheme=scheme,
             mapping=args.mapping, courant=COURANT, fused=fused,

@@ -109,14 +109,16 @@ def ring_slopes(line, uniform, degree, first, count, x, half, dS, part, slope):
     for c in range(count):
         a, b = max(left, line[first + c]), min(right, line[first + c + 1])
         share, middle = 0.5 * (b - a) / (right - left) / mean, 0.5 * (a + b)
+        if degree == 1:
+            # the slope is the same in a whole cell
+            part_of = 2.0 * share * middle / (line[first + c + 1] - line[first + c])
+            dS[c] -= part_of
+            dS[c + 1] += part_of
+            continue
         reach = 0.5 * (b - a) / math.sqrt(3.0)
         for side in range(2):
             at = middle - reach if side == 0 else middle + reach
-            if degree == 1:
-                slope[1] = 1.0 / (line[first + c + 1] - line[first + c])
-                slope[0] = -slope[1]
-            else:
-                weights_at(line, uniform, first + c, degree, at, part, slope)
+            weights_at(line, uniform, first + c, degree, at, part, slope)
             for i in range(degree + 1):
                 dS[c + i] += share * at * slope[i]
 
