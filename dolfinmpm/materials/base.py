@@ -18,6 +18,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm._platform.units import warn_of_radians
+from dolfinmpm.materials.kerneltrial import try_kernel
 from dolfinmpm.materials.lawkernel import Kernel, respond_at_points
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
 
@@ -164,7 +165,14 @@ class Law(Parametrised):
 
         Raises:
             ParameterError: The law declares a variable without a unit and a first value.
+            UserLawError: The law's own kernel fails its trial, see `materials.kerneltrial`.
         """
+        if isinstance(getattr(self, "kernel", None), Kernel):
+            try_kernel(self)
+        return self.declared_internal(parameters)
+
+    def declared_internal(self, parameters: Array) -> Array:
+        """See `first_internal`; without a trial of the kernel."""
         names = list(self.parameters)
         first = np.empty((len(parameters), len(self.internal)))
         for k, (name, declared) in enumerate(self.internal.items()):
@@ -324,10 +332,14 @@ class Law(Parametrised):
         values = parameters[point if len(parameters) > 1 else 0]
         given = ", ".join(f"{k} = {v:g}" for k, v in zip(self.parameters, values))
         state = ", ".join(f"{k} = {v:g}" for k, v in zip(self.internal, internal))
+        advice = "Take a smaller strain"
+        if getattr(getattr(self, "kernel", None), "is_own", False):
+            advice = "Its kernel did not return 0, or gave a stress that is not finite"
+        elif "rate" in self.parameters:
+            advice += ", or a smaller fall of strength"
         return (
             f"{type(self).__name__} finds no stress at point {point}: principal trial strains "
-            f"{strain.tolist()}, {state or 'no internal variables'}; {given}. "
-            "Take smaller steps, or a smaller fall of strength"
+            f"{strain.tolist()}, {state or 'no internal variables'}; {given}. {advice}"
         )
 
 
