@@ -180,7 +180,9 @@ def __getattr__(name: str) -> _Any:
     text = f"module 'dolfinmpm' has no attribute {name!r}"
     if not name.startswith("_"):
         rooms = {"materials": materials, "study": _importlib.import_module("dolfinmpm.study")}
-        text += "".join(f": it is mpm.{at}.{name}" for at, room in rooms.items() if name in dir(room))
+        text += "".join(
+            f": it is mpm.{at}.{name}" for at, room in rooms.items() if name in dir(room)
+        )
     raise AttributeError(text)
 
 

@@ -221,8 +221,8 @@ def prescribed(
     kind, given = (told[0], both[told[0]]) if told else ("zero", 0.0)
     if isinstance(component, str) or whole("component", component, 0) >= space.components:
         raise ParameterError(
-            f"component = {shown(component)} must be in 0 ... {space.components - 1} of this field: "
-            "0 is along x[0]"
+            f"component = {shown(component)} must be in 0 ... {space.components - 1} of this "
+            "field: 0 is along x[0]"
         )
     constant = isinstance(given, fem.Constant) or np.isscalar(given)
     if follows and not (callable(where) and constant):

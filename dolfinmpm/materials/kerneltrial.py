@@ -1,4 +1,4 @@
-"""A trial of a user's kernel between guard values: pointers have no lengths that Numba could check."""
+"""A trial of a user's kernel between guard values: Numba cannot check the ends of pointers."""
 
 from __future__ import annotations
 
@@ -79,7 +79,9 @@ def _judge(law: Law, found: Any) -> None:
         results[key] = [array[inner] for array in pair]
         outside = np.delete(one, np.arange(_GUARDS, _GUARDS + size))
         if not (outside == _VALUES[0]).all():
-            advice = "declare all internal variables" if key in ("old", "new") else "mend the kernel"
+            advice = (
+                "declare all internal variables" if key in ("old", "new") else "mend the kernel"
+            )
             raise UserLawError(
                 f"{name} writes beyond `{key}`, which has {size} numbers here: {advice}"
             )
@@ -89,9 +91,12 @@ def _judge(law: Law, found: Any) -> None:
         one, other = results[key]
         kept = np.flatnonzero((one == _VALUES[0]) & (other == _VALUES[1]))
         if kept.size:
-            raise UserLawError(f"{name} does not write {key}[{kept[0]}]: write every entry of {key}")
+            raise UserLawError(
+                f"{name} does not write {key}[{kept[0]}]: write every entry of {key}"
+            )
     for key in ("strain", "new", "stress", "tangent"):
-        if not np.array_equal(*results[key], equal_nan=True):
+        one, other = results[key]
+        if not np.array_equal(one, other, equal_nan=True):
             raise UserLawError(
                 f"{name} reads beyond its arrays: `{key}` depends on what lies there. There are "
                 f"{len(law.parameters)} parameters and {len(law.internal)} internal variables: "

@@ -49,7 +49,7 @@ def refusing(parameters, strain, old, new, stress, tangent):
 
 def own(kernel, *internal):
     """A law of one parameter with a kernel."""
-    names = {name: ("", 0.0) for name in internal}
+    names = dict.fromkeys(internal, ("", 0.0))
     declared = {"parameters": {"E": Parameter("Pa")}, "internal": names, "kernel": kernel}
     return type("Own", (Law,), declared)(E=1e6)
 

@@ -119,13 +119,19 @@ def test_a_step_is_no_longer_than_the_whole_time():
     assert list(mpm.times(0.1, 0.2)) == [0.1]
 
 
-def test_a_name_of_another_module_is_told():
-    with pytest.raises(AttributeError, match=r"no attribute 'Tresca': it is mpm\.materials\.Tresca$"):
-        mpm.Tresca
-    with pytest.raises(AttributeError, match=r"it is mpm\.study\.calibrate$"):
-        mpm.calibrate
-    with pytest.raises(AttributeError, match=r"no attribute 'Clay'$"):
-        mpm.Clay
-    _, V, _ = block()
-    with pytest.raises(ParameterError, match=r"component = 'y' must be in 0 \.\.\. 1 .* along x\[0\]"):
-        mpm.prescribed(V, "top", "y", increment=-0.01)
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("Tresca", r"'Tresca': it is mpm\.materials\.Tresca$"),
+        ("calibrate", r"it is mpm\.study\.calibrate$"),
+        ("Clay", "no attribute 'Clay'$"),
+    ],
+)
+def test_a_name_of_another_module_is_told(name, told):
+    with pytest.raises(AttributeError, match=told):
+        getattr(mpm, name)
+
+
+def test_a_component_by_its_letter():
+    with pytest.raises(ParameterError, match=r"'y' must be in 0 \.\.\. 1 .* along x\[0\]"):
+        mpm.prescribed(block()[1], "top", "y", increment=-0.01)

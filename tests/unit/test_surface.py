@@ -308,7 +308,8 @@ def test_history(tmp_path):
         history.record(settlement=1.0, load=np.eye(2))
     forces = mpm.History()
     forces.record(force=foot.reaction(), moment=np.array([2.0]))
-    assert forces.names == ("force_x", "force_y", "moment") and forces["moment"].tolist() == [2.0]
+    assert forces.names == ("force_x", "force_y", "moment")
+    assert forces["moment"].tolist() == [2.0]
     assert forces["force_y"].tolist() == [foot.reaction()[1]]
     assert repr(forces) == "History of 1 records: force_x, force_y, moment"
     with pytest.raises(KeyError, match="nothing is recorded as 'time'"):
