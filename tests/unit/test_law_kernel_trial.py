@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import StateError, UserLawError
+from dolfinmpm._platform.errors import ParameterError, StateError, UserLawError
 from dolfinmpm.materials import Law, Parameter, law_kernel
 
 
@@ -17,6 +17,15 @@ def stiff(parameters, strain, old, new, stress, tangent):
         stress[i] = parameters[0] * strain[i]
         for j in range(3):
             tangent[3 * i + j] = parameters[0] * (i == j)
+    return 0
+
+
+@law_kernel
+def too_stiff(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = parameters[0] * strain[i] + 1e3 * max(strain[i], 0.0)
+        for j in range(3):
+            tangent[3 * i + j] = 2.0 * parameters[0] * (i == j)
     return 0
 
 
@@ -76,3 +85,25 @@ def test_a_sound_kernel():
         own(refusing).respond([[0.0, 0.0, 0.0]])
     with pytest.raises(StateError, match=r"Take a smaller strain, or a smaller fall of strength$"):
         mpm.materials.Tresca(1e6, 0.3, 1e3).respond([[float("nan"), 0.0, 0.0]])
+
+
+def test_a_wrong_tangent_is_told():
+    (told,) = own(too_stiff).check()
+    assert "has a wrong tangent: tangent[" in told
+    assert "differences of the stress give" in told
+    assert own(stiff, "a", "b").check() == []
+    with pytest.raises(ParameterError, match="strain = 0"):
+        own(stiff, "a", "b").check(strain=0.0)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        mpm.materials.Tresca(1e6, 0.3, 1e2),
+        mpm.materials.MohrCoulomb(1e6, 0.3, 1e2, 30.0, residual_cohesion=50.0, rate=1.0),
+        mpm.materials.VonMises(1e6, 0.3, yield_stress=1e2),
+        mpm.materials.DruckerPrager(1e6, 0.3, 1e2, 30.0),
+    ],
+)
+def test_tangents_of_the_library_pass(law):
+    assert law.check() == []
