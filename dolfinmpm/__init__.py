@@ -177,7 +177,13 @@ def __getattr__(name: str) -> _Any:
     """Import `study` where it is first used, because most runs do without its modules."""
     if name == "study":
         return _importlib.import_module("dolfinmpm.study")
-    raise AttributeError(f"module 'dolfinmpm' has no attribute {name!r}")
+    text = f"module 'dolfinmpm' has no attribute {name!r}"
+    if not name.startswith("_"):
+        rooms = {"materials": materials, "study": _importlib.import_module("dolfinmpm.study")}
+        text += "".join(
+            f": it is mpm.{at}.{name}" for at, room in rooms.items() if name in dir(room)
+        )
+    raise AttributeError(text)
 
 
 def __dir__() -> list[str]:

@@ -211,7 +211,7 @@ BAD = {
     "history: a word": (lambda s: mpm.History().record(a="x"), "a = 'x' must be a single number"),
     "history: None": (lambda s: mpm.History().record(a=None), "a = None must be a single number"),
     "history: complex": (lambda s: mpm.History().record(a=1j), "a = 1j must be a single number"),
-    "history: a vector": (lambda s: mpm.History().record(a=np.ones(3)), "under names of their own"),
+    "history: an array": (lambda s: mpm.History().record(a=np.ones((3, 3))), "2 or 3 components"),
     "history: ranks": (lambda s: mpm.History(3), "comm = 3 must be a Comm"),
     "history: no such name": (lambda s: mpm.History()["a"], "nothing is recorded as 'a'"),
     "history: no path": (lambda s: mpm.History().write(None), "path = None must be a path"),

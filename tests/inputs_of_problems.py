@@ -287,7 +287,7 @@ INPUTS = {
     'mpm.History().write("h.csv")': "nothing has been recorded yet; call",
     "mpm.History().record(1.0)": "record(1.0) has no name: write record(load=...) or",
     "mpm.History()[0]": "nothing is recorded as '0'; there are no records yet",
-    "mpm.History().record(a=mpm.probe)": "a = a function must be a single number; record",
+    "mpm.History().record(a=mpm.probe)": "a = a function must be a single number, or an array",
     'mpm.measure_stages("no")': "on = 'no' must be True or False",
     "mpm.measure_stages(None)": "on = None must be True or False",
     "mpm.measure_stages(1)": "on = 1 must be True or False",

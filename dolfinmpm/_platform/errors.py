@@ -127,7 +127,7 @@ class StateError(DolfinMPMError, RuntimeError):
 
 
 class UserLawError(DolfinMPMError, RuntimeError):
-    """A law from outside cannot be compiled, or is faulty."""
+    """A UMAT or a kernel of one's own cannot be compiled, or is faulty."""
 
 
 class CheckpointError(DolfinMPMError, RuntimeError):

@@ -219,9 +219,10 @@ def prescribed(
             "increment=... for a field that moves points, value=... for one that is carried"
         )
     kind, given = (told[0], both[told[0]]) if told else ("zero", 0.0)
-    if whole("component", component, 0) >= space.components:
+    if isinstance(component, str) or whole("component", component, 0) >= space.components:
         raise ParameterError(
-            f"component = {component} must be in 0 ... {space.components - 1} of this field"
+            f"component = {shown(component)} must be in 0 ... {space.components - 1} of this "
+            "field: 0 is along x[0]"
         )
     constant = isinstance(given, fem.Constant) or np.isscalar(given)
     if follows and not (callable(where) and constant):

@@ -48,7 +48,8 @@ class RigidBody(ReadOnce):
             `Ball`, `Box` or a closed surface mesh in 3D: a file that meshio reads (STL, Gmsh), or
             a `meshio.Mesh`. The mesh has triangles with outward normals.
         increment: Motion of its centre in every step of a quasi-static problem (m), shape (gdim,):
-            numbers, or a function of t.
+            numbers, or a function of t: step k moves by its mean from t = k − 1 to k. The function
+            may jump at the end of a step, as in `lambda t: (0, -0.01) if t < 5 else (0.01, 0)`.
         velocity: Velocity of its centre in a problem in time (m/s), likewise.
         displacement: Displacement of the centre since the body was made (m): a function of t that
             is 0 at t = 0, or a DOLFINx constant. The user sets the constant before a step, and

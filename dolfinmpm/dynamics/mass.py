@@ -58,6 +58,9 @@ class MassTerms(Term):
         #: Whether a warning about a nearly singular mass has been given.
         self.warned = False
 
+    def __repr__(self) -> str:
+        return f"{self.kind} mass" + ("" if self.ghost is None else " with a ghost penalty")
+
     @property
     def moving(self) -> set[int]:
         """See `Term`."""

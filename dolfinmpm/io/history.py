@@ -41,8 +41,9 @@ class History:
     `history["load"]` is an array, and `history.write("curve.csv")` writes a table.
 
     `record(crest=crest)` with an `mpm.probe` records its displacement (m) as `crest_x`, `crest_y`
-    and in 3D `crest_z`. After `measure_stages()`, `record(..., **problem.history[-1].stages)`
-    records the times of the stages (s).
+    and in 3D `crest_z`. `record(force=wall.force)` records the components of a vector in the same
+    way. After `measure_stages()`, `record(..., **problem.history[-1].stages)` records the times of
+    the stages (s).
 
     Args:
         comm: Ranks that record the same numbers.
@@ -64,19 +65,19 @@ class History:
         self._rows: list[dict[str, float]] = []
         self.names: tuple[str, ...] = ()
 
-    def record(self, *unnamed: Any, **values: float | Probe) -> None:
-        """Add one value per name, and the displacement of each probe.
+    def record(self, *unnamed: Any, **values: float | npt.NDArray[np.float64] | Probe) -> None:
+        """Add one value per name, the components of vectors, and the displacements of probes.
 
         All ranks record the same number: a sum over a rank's own points goes through
         `comm.allreduce(value)` before. With a probe all ranks must call it.
 
         Args:
             unnamed: Not allowed; values need names.
-            values: Name → number, or name → probe.
+            values: Name → number, array of shape (2,) or (3,), or probe.
 
         Raises:
             ParameterError: There is no value, or a value without a name. Or the names differ from
-                those of the first record, or a value is not a single number.
+                those of the first record, or a value is neither a number nor a vector.
         """
         if unnamed:
             raise ParameterError(
@@ -200,19 +201,24 @@ class History:
             else:
                 axes.legend()
 
+    def __repr__(self) -> str:
+        return f"History of {len(self)} records: {', '.join(self.names)}".rstrip(": ")
+
     def _repr_html_(self) -> str:
         """The last records as a table, for notebooks."""
         return table(self._rows[-8:], f"{len(self)} records")
 
 
 def _with_components(values: dict[str, Any]) -> dict[str, Any]:
-    """The values with the displacements of probes, component by component. Collective."""
+    """The values with vectors and displacements of probes by component. Collective."""
     found: dict[str, Any] = {}
     for name, value in values.items():
-        if isinstance(value, Probe):
-            found |= {f"{name}_{axis}": u for axis, u in zip("xyz", value.displacement)}
+        shape = value.shape if isinstance(value, np.ndarray) else None
+        if isinstance(value, Probe) or shape in ((2,), (3,)):
+            vector = value.displacement if isinstance(value, Probe) else value
+            found |= {f"{name}_{axis}": component for axis, component in zip("xyz", vector)}
         else:
-            found[name] = value
+            found[name] = value[0] if shape == (1,) else value
     return found
 
 
@@ -224,7 +230,6 @@ def _single(name: str, value: Any) -> float:
         number = None
     if number is None:
         raise ParameterError(
-            f"{name} = {shown(value)} must be a single number; record components under names of "
-            "their own"
+            f"{name} = {shown(value)} must be a single number, or an array of 2 or 3 components"
         )
     return number

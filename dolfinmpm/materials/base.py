@@ -18,8 +18,10 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm._platform.units import warn_of_radians
+from dolfinmpm.materials.kerneltrial import try_kernel
 from dolfinmpm.materials.lawkernel import Kernel, respond_at_points
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
+from dolfinmpm.materials.tangentcheck import check_law
 
 __all__ = ["ELASTIC", "Law", "Response", "lame"]
 
@@ -164,7 +166,14 @@ class Law(Parametrised):
 
         Raises:
             ParameterError: The law declares a variable without a unit and a first value.
+            UserLawError: The law's own kernel fails its trial, see `materials.kerneltrial`.
         """
+        if isinstance(getattr(self, "kernel", None), Kernel):
+            try_kernel(self)
+        return self.declared_internal(parameters)
+
+    def declared_internal(self, parameters: Array) -> Array:
+        """See `first_internal`; without a trial of the kernel."""
         names = list(self.parameters)
         first = np.empty((len(parameters), len(self.internal)))
         for k, (name, declared) in enumerate(self.internal.items()):
@@ -226,10 +235,10 @@ class Law(Parametrised):
         if self.has_moduli:
             lmbda, mu = self._lame(parameters)
             return lmbda + 2 * mu
-        tangent = self._evaluated(strain, internal, parameters)[1].tangent
+        tangent = self.evaluated(strain, internal, parameters)[1].tangent
         return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
 
-    def _evaluated(self, strain: Array, internal: Array, parameters: Array) -> tuple[int, Response]:
+    def evaluated(self, strain: Array, internal: Array, parameters: Array) -> tuple[int, Response]:
         """The first point without a stress or -1, and the response at the points before it.
 
         Elsewhere stresses are NaN, and tangents 0.
@@ -248,7 +257,7 @@ class Law(Parametrised):
             internal: Internal variables, shape (n, variables).
             parameters: Parameters, shape (1, parameters) or (n, parameters).
         """
-        return self._evaluated(strain, internal, parameters)[1].stress
+        return self.evaluated(strain, internal, parameters)[1].stress
 
     def moduli(self, strain: Array, internal: Array, parameters: Array) -> Array:
         """Elastic P-wave and shear modulus (Pa), shape (n, 2) or (1, 2).
@@ -264,7 +273,7 @@ class Law(Parametrised):
         if self.has_moduli:
             lmbda, mu = self._lame(parameters)
             return np.stack([lmbda + 2 * mu, mu], axis=1)
-        _, found = self._evaluated(strain, self.unyielding(internal), parameters)
+        _, found = self.evaluated(strain, self.unyielding(internal), parameters)
         tangent = found.tangent
         along = np.einsum("pii->p", tangent) / 3
         across = (tangent.sum(axis=(1, 2)) - 3 * along) / 6
@@ -311,7 +320,7 @@ class Law(Parametrised):
                 f"{', '.join(self.internal) or 'no variable'}, {(n, len(self.internal))}"
             )
         old = np.ascontiguousarray(np.broadcast_to(old, (n, len(self.internal))))
-        bad, found = self._evaluated(trial, old, parameters)
+        bad, found = self.evaluated(trial, old, parameters)
         if bad < 0 and not np.isfinite(found.stress).all():
             # elastic laws have no internal variables
             bad = int(np.argmin(np.isfinite(found.stress).all(axis=1)))
@@ -319,15 +328,31 @@ class Law(Parametrised):
             raise StateError(self.describe(bad, trial[bad], old[bad], parameters))
         return found
 
+    def check(self, *, strain: float = 1e-3, tolerance: float = 1e-3) -> list[str]:
+        """Compare the tangent with central differences of the stress; faults as text.
+
+        Trial strains are random, and internal variables are those before any yielding. Strains at
+        which the stress has a kink do not count. Parameters are numbers.
+
+        Args:
+            strain: Largest trial strain. It should be beyond yield.
+            tolerance: Largest difference, as a share of the largest entry of the tangent.
+        """
+        return check_law(self, strain, tolerance)
+
     def describe(self, point: int, strain: Array, internal: Array, parameters: Array) -> str:
         """Message about a point at which the law finds no stress: strains, state, parameters."""
         values = parameters[point if len(parameters) > 1 else 0]
         given = ", ".join(f"{k} = {v:g}" for k, v in zip(self.parameters, values))
         state = ", ".join(f"{k} = {v:g}" for k, v in zip(self.internal, internal))
+        advice = "Take a smaller strain"
+        if getattr(getattr(self, "kernel", None), "is_own", False):
+            advice = "Its kernel did not return 0, or gave a stress that is not finite"
+        elif "rate" in self.parameters:
+            advice += ", or a smaller fall of strength"
         return (
             f"{type(self).__name__} finds no stress at point {point}: principal trial strains "
-            f"{strain.tolist()}, {state or 'no internal variables'}; {given}. "
-            "Take smaller steps, or a smaller fall of strength"
+            f"{strain.tolist()}, {state or 'no internal variables'}; {given}. {advice}"
         )
 
 

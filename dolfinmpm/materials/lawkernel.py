@@ -11,10 +11,11 @@ from typing import Any
 import numba
 from llvmlite import ir
 from numba import types
+from numba.core.errors import NumbaError
 from numba.extending import intrinsic, models, overload, register_model
 
 from dolfinmpm._platform.argumentchecks import check_function, shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, UserLawError
 
 __all__ = ["KERNEL_SIGNATURE", "Kernel", "call_law", "law_kernel", "respond_at_points"]
 
@@ -63,19 +64,37 @@ class Kernel:
 
     def __init__(self, function: Callable):
         self._function = function
+        #: Numbers of parameters and of internal variables with which it has been tried.
+        self.tried: set[tuple[int, int]] = set()
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it is a user's kernel, and not one of the package."""
+        return not self._function.__module__.startswith(_PACKAGE)
 
     @functools.cached_property
-    def _compiled(self) -> Any:
+    def compiled(self) -> Any:
+        """The compiled C function.
+
+        Raises:
+            UserLawError: Numba cannot compile it.
+        """
         # Numba's cache goes by file and line. It would return an old kernel for a module under
         # another name, or after a change of a global number from another module. The package's
         # own kernels use no such numbers, and `forget_outdated` checks their sources.
-        own = self._function.__module__.startswith(_PACKAGE)
-        return numba.cfunc(KERNEL_SIGNATURE, cache=own, error_model="numpy")(self._function)
+        cache, name = not self.is_own, self._function.__name__
+        try:
+            return numba.cfunc(KERNEL_SIGNATURE, cache=cache, error_model="numpy")(self._function)
+        except NumbaError as error:
+            raise UserLawError(
+                f"Numba cannot compile the kernel {name}. Use its six arrays by index only, and "
+                f"return 0 at its end. Numba says: {error}"
+            ) from error
 
     @functools.cached_property
     def address(self) -> int:
         """Address of the C function."""
-        return self._compiled.address
+        return self.compiled.address
 
     @functools.cached_property
     def stress_address(self) -> int:
@@ -84,7 +103,7 @@ class Kernel:
         Only the package's own kernels have one. For other kernels it is the address of the kernel
         itself, because they may use the tangent in ways that need a real array.
         """
-        if not self._function.__module__.startswith(_PACKAGE):
+        if self.is_own:
             return self.address
         signature = types.int32(*[_DOUBLES] * 5, _DISCARDED)
         kept = numba.cfunc(signature, cache=True, error_model="numpy")(self._function)

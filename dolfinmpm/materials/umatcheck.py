@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.materials.tangentcheck import tangent_fault
 from dolfinmpm.materials.umatcall import DDSDDE, FAILURES, STATEV, STRESS
 from dolfinmpm.materials.umatshim import OFFSETS
 
@@ -21,8 +22,6 @@ __all__ = ["check_umat"]
 Array = npt.NDArray[np.float64]
 
 _POINTS = 24
-# Differences to both sides that differ by more than this share show a kink
-_KINK = 0.02
 # Share of the strain increment by which differences are taken
 _STEP = 1e-4
 
@@ -111,26 +110,11 @@ def _tangent(law: UMAT, work: Array, components: int, h: float, tolerance: float
         kink = np.maximum(kink, bend)
     # Fortran stores column by column
     own = base[:, DDSDDE : DDSDDE + m * m].reshape(-1, m, m).swapaxes(1, 2)
-    size = np.abs(numeric).max(axis=(1, 2))
     if good.any() and not numeric[good].any():
         return [
             f"{law!r} gives the same stress for every DSTRAN. Does it set STRESS? Are its numbers "
             "REAL*8 (INCLUDE 'ABA_PARAM.INC')? Has it all arguments of UMAT?"
         ]
-    good &= np.isfinite(size) & (size > 0) & (kink <= _KINK * size)
-    if not good.any():
-        return [] if (status != 0).any() else [f"{law!r}: no point without a kink for its tangent"]
-    gap = np.abs(own - numeric).max(axis=(1, 2)) / np.where(good, size, 1.0)
-    gap[~good] = 0.0
-    gap[good & ~np.isfinite(gap)] = np.inf
-    worst = int(np.argmax(gap))
-    if gap[worst] <= tolerance:
-        return []
-    i, j = divmod(int(np.argmax(np.abs(own[worst] - numeric[worst]))), m)
-    count = int((gap > tolerance).sum())
-    return [
-        f"{law!r} has a wrong tangent: DDSDDE({i + 1},{j + 1}) = {own[worst, i, j]:g} Pa, but "
-        f"differences of the stress give {numeric[worst, i, j]:g} Pa ({count} of "
-        f"{int(good.sum())} points differ by more than {tolerance:g}). Newton's method then takes "
-        "more iterations"
-    ]
+    return tangent_fault(
+        law, lambda i, j: f"DDSDDE({i + 1},{j + 1})", own, numeric, kink, good, tolerance
+    )

@@ -29,6 +29,18 @@ def pressed():
     return mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")), plate
 
 
+def test_a_motion_that_changes_at_the_end_of_a_step():
+    """Simpson's rule had taken a sixth of the step after the change from the motion before it."""
+    points, V, F = block()
+    stages = {"increment": lambda t: (0.0, -0.01) if t <= 2 else (0.02, 0.0)}
+    ball = mpm.RigidBody(mpm.Disc((2, 3.5), 0.5), name="ball", **stages)
+    F += mpm.contact(ball, points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    for _ in range(3):
+        problem.step()
+    np.testing.assert_allclose(ball.position, (2.02, 3.48), rtol=1e-14)
+
+
 def test_forces_of_a_record_calculate_as_vectors(tmp_path):
     """Twice a force had been a list of both components repeated, so that [1] was half of it."""
     problem, plate = pressed()

@@ -25,6 +25,8 @@ STIFFNESS = FACTOR * (1.0 if __name__ == "__main__" else 10.0)
 def kernel(parameters, strain, old, new, stress, tangent):
     for i in range(3):
         stress[i] = STIFFNESS * parameters[0] * strain[i]
+        for j in range(3):
+            tangent[3 * i + j] = STIFFNESS * parameters[0] * (i == j)
     return 0
 class Linear(Law):
     parameters = {"E": Parameter("Pa", low=0.0)}

@@ -117,3 +117,21 @@ def test_a_step_is_no_longer_than_the_whole_time():
     with pytest.raises(ParameterError, match=r"the order is times\(end, dt\)"):
         list(mpm.times(0.1, 10.0))
     assert list(mpm.times(0.1, 0.2)) == [0.1]
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("Tresca", r"'Tresca': it is mpm\.materials\.Tresca$"),
+        ("calibrate", r"it is mpm\.study\.calibrate$"),
+        ("Clay", "no attribute 'Clay'$"),
+    ],
+)
+def test_a_name_of_another_module_is_told(name, told):
+    with pytest.raises(AttributeError, match=told):
+        getattr(mpm, name)
+
+
+def test_a_component_by_its_letter():
+    with pytest.raises(ParameterError, match=r"'y' must be in 0 \.\.\. 1 .* along x\[0\]"):
+        mpm.prescribed(block()[1], "top", "y", increment=-0.01)

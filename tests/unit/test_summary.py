@@ -49,4 +49,7 @@ def test_a_problem_prints_what_it_is_made_of(parts):
 )
 def test_schemes_in_time(parts, make, line):
     F, V, points, bcs = parts
-    assert line in str(make(F, V.increment, points, bcs))
+    text = str(make(F, V.increment, points, bcs))
+    assert line in text
+    assert " mass" in text
+    assert "object at" not in text

@@ -304,8 +304,14 @@ def test_history(tmp_path):
         assert [row["load"] for row in rows] == list(history["load"])
     with pytest.raises(ParameterError, match="the first had settlement, load"):
         history.record(settlement=1.0)
-    with pytest.raises(ParameterError, match="must be a single number"):
-        history.record(settlement=1.0, load=foot.reaction())
+    with pytest.raises(ParameterError, match="must be a single number, or an array of 2 or 3"):
+        history.record(settlement=1.0, load=np.eye(2))
+    forces = mpm.History()
+    forces.record(force=foot.reaction(), moment=np.array([2.0]))
+    assert forces.names == ("force_x", "force_y", "moment")
+    assert forces["moment"].tolist() == [2.0]
+    assert forces["force_y"].tolist() == [foot.reaction()[1]]
+    assert repr(forces) == "History of 1 records: force_x, force_y, moment"
     with pytest.raises(KeyError, match="nothing is recorded as 'time'"):
         history["time"]
     with pytest.raises(ParameterError, match=r"\.csv or \.json"):

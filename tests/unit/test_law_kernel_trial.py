@@ -1,0 +1,109 @@
+"""Kernels of one's own that touch more than their arrays, or cannot be compiled."""
+
+from __future__ import annotations
+
+import pytest
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import ParameterError, StateError, UserLawError
+from dolfinmpm.materials import Law, Parameter, law_kernel
+
+
+@law_kernel
+def stiff(parameters, strain, old, new, stress, tangent):
+    new[0] = old[0]
+    new[1] = strain[0]
+    for i in range(3):
+        stress[i] = parameters[0] * strain[i]
+        for j in range(3):
+            tangent[3 * i + j] = parameters[0] * (i == j)
+    return 0
+
+
+@law_kernel
+def too_stiff(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = parameters[0] * strain[i] + 1e3 * max(strain[i], 0.0)
+        for j in range(3):
+            tangent[3 * i + j] = 2.0 * parameters[0] * (i == j)
+    return 0
+
+
+@law_kernel
+def reading(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = parameters[1] * strain[i]
+        for j in range(3):
+            tangent[3 * i + j] = parameters[0] * (i == j)
+    return 0
+
+
+@law_kernel
+def leaving(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = parameters[0] * strain[i]
+        tangent[4 * i] = parameters[0]
+    return 0
+
+
+@law_kernel
+def without_return(parameters, strain, old, new, stress, tangent):
+    stress[0] = 0.0
+
+
+@law_kernel
+def refusing(parameters, strain, old, new, stress, tangent):
+    return 1
+
+
+def own(kernel, *internal):
+    """A law of one parameter with a kernel."""
+    names = dict.fromkeys(internal, ("", 0.0))
+    declared = {"parameters": {"E": Parameter("Pa")}, "internal": names, "kernel": kernel}
+    return type("Own", (Law,), declared)(E=1e6)
+
+
+@pytest.mark.parametrize(
+    ("law", "told"),
+    [
+        (own(stiff, "a"), r"writes beyond `new`, which has 1 numbers here: declare all internal"),
+        (own(stiff), r"writes beyond `new`, which has 0 numbers"),
+        (own(reading), r"reads beyond its arrays: `stress` depends .* 1 parameters and 0 internal"),
+        (own(leaving), r"does not write tangent\[1\]: write every entry"),
+        (own(without_return), r"Numba cannot compile the kernel without_return.* return 0 at"),
+    ],
+)
+def test_a_faulty_kernel_is_refused(law, told):
+    """One variable too few had written into the next point's, without a message."""
+    with pytest.raises(UserLawError, match=told):
+        law.respond([[1e-3, 0.0, 0.0]])
+
+
+def test_a_sound_kernel():
+    assert own(stiff, "a", "b").respond([[1e-3, 0.0, 0.0]]).stress[0].tolist() == [1e3, 0.0, 0.0]
+    with pytest.raises(StateError, match="Its kernel did not return 0"):
+        own(refusing).respond([[0.0, 0.0, 0.0]])
+    with pytest.raises(StateError, match=r"Take a smaller strain, or a smaller fall of strength$"):
+        mpm.materials.Tresca(1e6, 0.3, 1e3).respond([[float("nan"), 0.0, 0.0]])
+
+
+def test_a_wrong_tangent_is_told():
+    (told,) = own(too_stiff).check()
+    assert "has a wrong tangent: tangent[" in told
+    assert "differences of the stress give" in told
+    assert own(stiff, "a", "b").check() == []
+    with pytest.raises(ParameterError, match="strain = 0"):
+        own(stiff, "a", "b").check(strain=0.0)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        mpm.materials.Tresca(1e6, 0.3, 1e2),
+        mpm.materials.MohrCoulomb(1e6, 0.3, 1e2, 30.0, residual_cohesion=50.0, rate=1.0),
+        mpm.materials.VonMises(1e6, 0.3, yield_stress=1e2),
+        mpm.materials.DruckerPrager(1e6, 0.3, 1e2, 30.0),
+    ],
+)
+def test_tangents_of_the_library_pass(law):
+    assert law.check() == []
