@@ -41,6 +41,10 @@ INPUTS = {
     "s.top.traction(b'ab', s.v)": "traction = a bytes must be numbers, such as (0.0, 1.0)",
     "s.plot(limits=np.ma.masked_array([0.0, 1.0], [True, False]))":
         "limits[0] = nan must be finite",
+    "mpm.fill(s.grid, mpm.Box((0, 0), (2, 1)), 2, lambda x: x[0] > -1)":
+        "density should return numbers of shape",
+    "mpm.Deposit(lambda x: x[0] < 9, [mpm.Layer(-5.0, 17e3, 0.5)]).stress([[0.0], [-1.0]])":
+        "surface should return numbers of shape (1,) for positions",
     # -- numbers beyond what computers count
     "mpm.Layer(10**400, 17e3, 0.5)": "is beyond the largest floating point number, 1.8e308 m: give",
     "mpm.Fluid(bulk_modulus=10**400)":
