@@ -29,7 +29,7 @@ Tags = tuple[int, ...] | None
 # Number of words that a message lists at most
 _MOST = 12
 # Largest whole number of an argument: those of NumPy and C end there
-_MOST_WHOLE = 2**31 - 1
+_MOST_WHOLE = 2**63 - 1
 
 
 def shown(value: Any) -> str:

@@ -160,7 +160,7 @@ def _chosen(points: MaterialPoints, where: Any, tag: int | None) -> npt.NDArray[
         raise ParameterError("remove takes either `where` or `tag`, and one of them")
     n = len(points)
     if tag is not None:
-        return np.isin(points["tag"], as_tags(tag))
+        return np.isin(points["tag"], as_tags(tag) or ())
     if isinstance(where, Callable):  # type: ignore[arg-type]
         where = choose("where", where, points["x"])
     chosen = array_of("where", where)

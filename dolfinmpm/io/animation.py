@@ -93,12 +93,13 @@ class Film:
         self,
         points: MaterialPoints,
         path: Path,
-        look: _Look | None = None,
+        look: Any = None,
         bodies: Sequence[RigidBody] = (),
     ):
         check_kind("look", look, _Look, "make a film with mpm.animate(points, path)")
         self.path = path
-        self._points, self._look, self._bodies = points, look, list(bodies)
+        self._points, self._bodies = points, list(bodies)
+        self._look: _Look = look
         self._comm = points.comm
         # made on rank 0 alone, which is the rank that draws
         self._folder = tempfile.TemporaryDirectory() if self._comm.rank == 0 else None

@@ -73,10 +73,10 @@ def test_truth_values_are_numbers_of_fields_alone():
 
 
 def test_whole_numbers_have_bounds():
-    assert whole("n", 2**31 - 1, 0) == 2**31 - 1
+    assert whole("n", 2**63 - 1, 0) == 2**63 - 1
     assert whole("seed", 10**40, 0, math.inf) == 10**40
-    with pytest.raises(ParameterError, match=r"n = 2147483648 must be .* at most"):
-        whole("n", 2**31, 0)
+    with pytest.raises(ParameterError, match=r"n = 9223372036854775808 must be .* at most"):
+        whole("n", 2**63, 0)
 
 
 def test_points_go_by_several_tags():
