@@ -67,8 +67,8 @@ class Run:
     given: bool = False
 
     def __post_init__(self) -> None:
-        several: list[Any] = self.problems or [None]
-        for problem in several:
+        several: list[Any] = [*self.problems]
+        for problem in several or [None]:
             check_kind("problem", problem, Problem, "give a problem of dolfinmpm")
         truth("given", self.given)
         if not isinstance(self.measured, Mapping) or not self.measured:
