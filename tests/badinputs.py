@@ -177,7 +177,10 @@ BAD = {
     "plot: no path": (lambda s: s.plot(None), "path = None must be a path"),
     "plot: empty path": (lambda s: s.plot(""), "path = '' must be a path"),
     "plot: no such field": (lambda s: s.plot("a.png", "foo"), "no field 'foo' to colour by"),
-    "plot: field of UFL": (lambda s: s.plot("a.png", s.points.stress), "no field 'points.stress'"),
+    "plot: field of UFL": (
+        lambda s: s.plot("a.png", s.points.stress),
+        "no field a PointField to colour by",
+    ),
     "plot: component": (lambda s: s.plot("a.png", "stress", component="xx"), "'xx' does not fit"),
     "plot: component out of range": (
         lambda s: s.plot("a.png", "stress", component=(5, 5)),
@@ -196,7 +199,7 @@ BAD = {
     "plot: colours": (lambda s: s.plot(cmap="viridus"), 'did you mean "viridis"'),
     "plot: size a number": (lambda s: s.plot(size=3), "size = 3 must be two numbers"),
     "plot: size negative": (lambda s: s.plot(size=(-1, 1)), "two positive numbers"),
-    "plot: dpi": (lambda s: s.plot(dpi=0), "dpi = 0 must be above 0"),
+    "plot: dpi": (lambda s: s.plot(dpi=0), "dpi = 0 must be at least 10"),
     "plot: aspect": (lambda s: s.plot(max_aspect=0), "max_aspect = 0 must be at least 1"),
     "plot: aspect a word": (lambda s: s.plot(max_aspect="a"), "max_aspect = 'a' must be a number"),
     "plot: a grid": (lambda s: mpm.plot(s.grid, "a.png"), r"plot\(points, path\)"),

@@ -259,11 +259,11 @@ INPUTS = {
     # -- pictures, tables, times
     "curve().plot('a.png', 'a', 'b', labels=['a'])": "labels = ['a'] must be a dictionary",
     "curve().plot('a.png', 'a', 'b', labels={'c': 'x'})": "nothing is recorded as 'c'",
-    'mpm.figure("b.png", dpi=-1).__enter__()': "dpi = -1 must be above 0",
+    'mpm.figure("b.png", dpi=-1).__enter__()': "dpi = -1 must be at least 10",
     'mpm.figure("b.png", nrows=0).__enter__()': "figure cannot make its axes: Number of rows must",
     'mpm.figure("b.png", width="a").__enter__()': "size[0] = 'a' must be a number",
     'mpm.figure("b.png", height=nan).__enter__()': "size[1] = nan must be finite; nan is the",
-    's.plot("a.png", 3)': "no field '3' to colour by; there are id, cell, tag,",
+    's.plot("a.png", 3)': "no field 3 to colour by; there are id, cell, tag,",
     's.plot("a.png", "stress", component=(-1, 0))':
         "component = (-1, 0) does not fit 'stress' of shape",
     "s.plot(cmap=3)": 'cmap = 3 must be one of "magma", "inferno",',
@@ -286,7 +286,7 @@ INPUTS = {
     'paraview(s, fields={"stress": 1})': "fields = a dict must be names of the points'",
     'mpm.History().write("h.csv")': "nothing has been recorded yet; call",
     "mpm.History().record(1.0)": "record(1.0) has no name: write record(load=...) or",
-    "mpm.History()[0]": "nothing is recorded as '0'; there are no records yet",
+    "mpm.History()[0]": "nothing is recorded as 0; there are no records yet",
     "mpm.History().record(a=mpm.probe)": "a = a function must be a single number, or an array",
     'mpm.measure_stages("no")': "on = 'no' must be True or False",
     "mpm.measure_stages(None)": "on = None must be True or False",

@@ -9,6 +9,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from inputs_of_bodies import INPUTS as OF_BODIES
+from inputs_of_kinds import INPUTS as OF_KINDS
 from inputs_of_problems import INPUTS as OF_PROBLEMS
 from mpi4py import MPI
 
@@ -171,5 +172,5 @@ def evaluated(text, s):
 # text of an input → what is done with the scene, and what the message has
 MORE = {
     text: (functools.partial(evaluated, text), re.escape(words))
-    for text, words in (OF_BODIES | OF_PROBLEMS).items()
+    for text, words in (OF_BODIES | OF_KINDS | OF_PROBLEMS).items()
 }

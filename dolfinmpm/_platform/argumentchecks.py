@@ -18,7 +18,8 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 __all__ = [
-    "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates", "cut",
+    "Tags", "array_of", "as_tags", "at_time", "check_function", "check_kind",
+    "check_takes", "choice", "coordinates", "cut",
     "file_path", "floats", "is_endless", "number", "refuse_idle", "shown", "truth", "whole",
 ]  # fmt: skip
 
@@ -27,6 +28,8 @@ Tags = tuple[int, ...] | None
 
 # Number of words that a message lists at most
 _MOST = 12
+# Largest whole number of an argument: those of NumPy and C end there
+_MOST_WHOLE = 2**63 - 1
 
 
 def shown(value: Any) -> str:
@@ -86,26 +89,45 @@ def at_time(what: str, given: Any, t: float) -> Any:
         return given
     try:
         return given(t)
-    except (ArithmeticError, LookupError, ValueError) as error:
-        if isinstance(error, DolfinMPMError):
-            raise
-        raise ParameterError(
-            f"{what}, a function of the time, failed at {t:g} s with {type(error).__name__}: "
-            f"{error}"
-        ) from error
-    except TypeError:
-        # the error may come from inside the function, or from its arguments
-        try:
-            inspect.signature(given).bind(t)
-        except TypeError as error:
+    except DolfinMPMError:
+        raise
+    except Exception as error:
+        wrong = _unfit(given, t) if isinstance(error, TypeError) else None
+        if wrong is not None:
             raise ParameterError(
                 f"{what} = {shown(given)} must be a function of the time (s) alone, such as "
-                f"lambda t: 0.1 * t; {error}"
+                f"lambda t: 0.1 * t; {wrong}"
             ) from None
-        except ValueError:
-            # a function of another language has no signature
-            pass
-        raise
+        raise ParameterError(
+            f"{what}, a function of the time, failed at {t:g} s with {type(error).__name__}: "
+            f"{cut(str(error))}"
+        ) from error
+
+
+def check_takes(what: str, function: Any, *arguments: Any) -> None:
+    """Raise ParameterError if a function does not take some arguments.
+
+    Args:
+        what: Name of the function.
+        function: The function.
+        arguments: Arguments with which it will be called.
+    """
+    wrong = _unfit(function, *arguments)
+    if wrong is not None:
+        kinds = ", ".join(f"a {type(argument).__name__}" for argument in arguments)
+        raise ParameterError(f"{what} is called with {kinds or 'no arguments'}: {wrong}")
+
+
+def _unfit(function: Any, *arguments: Any) -> TypeError | None:
+    """Why a function does not take some arguments, or None if it does or if that is unknown."""
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError as error:
+        return error
+    except ValueError:
+        # a function of another language has no signature
+        pass
+    return None
 
 
 def number(
@@ -130,7 +152,8 @@ def number(
         ParameterError: The value is no number, or not between the limits.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value.item()
+        # a masked number has a value, which does not count
+        value = math.nan if np.ma.is_masked(value) else value.item()
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         raise ParameterError(f"{what} = {shown(value)} must be a number{unit and f' ({unit})'}")
     try:
@@ -154,14 +177,15 @@ def number(
 
 def is_endless(value: Any, sign: float = 1.0) -> bool:
     """Whether a value is the number infinity, of this sign."""
-    return isinstance(value, numbers.Real) and float(value) == sign * math.inf
+    # whole numbers beyond 1e308 compare, and do not convert
+    return isinstance(value, numbers.Real) and value == sign * math.inf
 
 
-def whole(what: str, value: Any, least: int) -> int:
-    """A whole number of at least `least`.
+def whole(what: str, value: Any, least: int, most: float = _MOST_WHOLE) -> int:
+    """A whole number from `least` to `most`.
 
     Raises:
-        ParameterError: The value is no whole number, or is less.
+        ParameterError: The value is no whole number, or is less or more.
     """
     try:
         given = None if isinstance(value, (bool, np.bool_)) else operator.index(value)
@@ -169,6 +193,8 @@ def whole(what: str, value: Any, least: int) -> int:
         given = None
     if given is None or given < least:
         raise ParameterError(f"{what} = {shown(value)} must be a whole number of at least {least}")
+    if given > most:
+        raise ParameterError(f"{what} = {shown(value)} must be a whole number of at most {most:g}")
     return given
 
 
@@ -203,32 +229,45 @@ def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
     """Numbers as an array of any shape; the caller checks the shape. Masked values become nan.
 
     Raises:
-        ParameterError: The argument has something else than numbers.
+        ParameterError: The argument has something else than numbers, such as truth values.
+    """
+    found = floats(given, truths=False)
+    if found is None:
+        raise ParameterError(f"{what} = {shown(given)} must be numbers, such as (0.0, 1.0)")
+    return found
+
+
+def array_of(what: str, given: Any) -> npt.NDArray[Any]:
+    """An argument as an array of any kind and shape; the caller checks both.
+
+    Raises:
+        ParameterError: It is none, such as rows of different lengths.
     """
     try:
-        if np.iscomplexobj(given):
-            # NumPy would drop the imaginary part
-            raise TypeError
-        if isinstance(given, np.ma.MaskedArray):
-            return np.array(np.ma.filled(given.astype(np.float64), np.nan), np.float64)
-        return np.array(given, np.float64)
-    except (TypeError, ValueError, OverflowError):
+        return np.asarray(given)
+    except ValueError:
         raise ParameterError(
-            f"{what} = {shown(given)} must be numbers, such as (0.0, 1.0)"
+            f"{what} = {shown(given)} must be an array, with rows of one length"
         ) from None
 
 
-def floats(given: Any) -> npt.NDArray[np.float64] | None:
+def floats(given: Any, truths: bool = True) -> npt.NDArray[np.float64] | None:
     """Numbers as an array of any shape, or None if they are none; the caller raises.
 
     Masked values become nan.
 
     Args:
         given: The numbers.
+        truths: Whether truth values count as 0 and 1, as in fields that mark points.
     """
     try:
-        return coordinates("", given)
-    except ParameterError:
+        if isinstance(given, np.ma.MaskedArray):
+            given = np.ma.filled(given.astype(np.float64), np.nan)
+        # NumPy would drop imaginary parts, read words, and count days
+        plain = np.asarray(given)
+        none = plain.dtype.kind in ("cmMSU" if truths else "cmMSUb")
+        return None if none else np.array(plain, np.float64)
+    except (TypeError, ValueError, OverflowError):
         return None
 
 

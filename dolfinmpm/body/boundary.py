@@ -246,7 +246,7 @@ class Boundary(Uncopied):
         word, axis, end = side_of(side, points.gdim)
         lattice = require_lattice(points.grid, "a boundary at a side of the grid")
         made = revolved(points, *side_markers(lattice, axis, end, whole("rule", rule, 1), spacing))
-        wall = cls(points, *made, follows=False, name=name or word, activates=False)
+        wall = cls(points, *made, follows=False, name=word if name is None else name)
         wall.longest = spacing or np.inf
         return wall
 
@@ -323,7 +323,7 @@ class Boundary(Uncopied):
         check_function("phi", phi, "of positions, such as lambda x: np.hypot(*x) - 1.0")
         if points.gdim == 1:
             raise UnsupportedGridError("a level set needs a grid of 2D or 3D; give Boundary(...)")
-        whole("subdivisions", subdivisions, 1), whole("rule", rule, 1)
+        whole("subdivisions", subdivisions, 1, 100), whole("rule", rule, 1)
         x, area = level_set_markers(points.grid, phi, subdivisions, rule)
         return cls(
             points, *revolved(points, x, area), follows=follows, name=name, activates=activates

@@ -12,7 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["along_segments", "contour", "cut_triangles", "inside", "kuhn", "no_longer", "quartered"]
+from dolfinmpm._platform.argumentchecks import whole
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = [
+    "along_segments", "contour", "cut_triangles", "gauss", "inside", "kuhn", "no_longer",
+    "quartered",
+]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
 
@@ -26,6 +32,8 @@ _WEIGHTS = np.repeat([_NEAR[1], _FAR[1]], 3)
 _COARSE = np.array([np.roll([2 / 3, 1 / 6, 1 / 6], k) for k in range(3)], float)
 # pieces smaller than this share of what they are cut from are rounding
 _NONE = 1e-13
+# Most pieces of a line of cells
+_MOST = 1e6
 
 
 def along_segments(
@@ -44,7 +52,7 @@ def along_segments(
         Positions (m) and area vectors (m), the normals to the right of the segments, both of
         shape (markers, 2).
     """
-    at, weights = np.polynomial.legendre.leggauss(rule)
+    at, weights = gauss(rule)
     x, areas = [np.empty((0, 2))], [np.empty((0, 2))]
     for a, b in ends:
         along = b - a
@@ -66,12 +74,28 @@ def along_segments(
     return np.concatenate(x), np.concatenate(areas)
 
 
+def gauss(rule: int) -> tuple[Array, Array]:
+    """Places of the Gauss points of a piece between -1 and 1, and their weights."""
+    return np.polynomial.legendre.leggauss(whole("rule", rule, 1, 100))
+
+
 def no_longer(line: Array, longest: float) -> Array:
-    """Lines of cells, with each cell cut into equal pieces no longer than some length (m)."""
-    parts = np.maximum(np.ceil(np.diff(line) / longest - 1e-9), 1).astype(int)
+    """Lines of cells, with each cell cut into equal pieces no longer than some length (m).
+
+    Raises:
+        ParameterError: There would be more than a million pieces.
+    """
+    parts = np.maximum(np.ceil(np.diff(line) / longest - 1e-9), 1)
     if (parts == 1).all():
         return line
-    begin = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(line, line[1:], parts)]
+    if parts.sum() > _MOST:
+        raise ParameterError(
+            f"spacing cuts {line[-1] - line[0]:g} m into {parts.sum():.3g} pieces, and {_MOST:g} "
+            "is the limit: give the greatest length of a piece in m"
+        )
+    begin = [
+        np.linspace(a, b, n, endpoint=False) for a, b, n in zip(line, line[1:], parts.astype(int))
+    ]
     return np.append(np.concatenate(begin), line[-1])
 
 

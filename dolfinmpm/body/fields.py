@@ -88,7 +88,9 @@ class PointField(ufl.Coefficient):
         """
         shape = self.ufl_shape
         if callable(self.first):
-            return call_function(f"the first value of field '{self.name}'", self.first, x0, shape)
+            return call_function(
+                f"the first value of field '{self.name}'", self.first, x0, shape, True
+            )
         given = floats(self.first)
         if given is None:
             raise FieldShapeError(

@@ -24,6 +24,7 @@ from dolfinmpm.body.contours import (
     along_segments,
     contour,
     cut_triangles,
+    gauss,
     kuhn,
     no_longer,
     quartered,
@@ -170,7 +171,7 @@ def side_markers(
         rule: Gauss points per piece and direction.
         spacing: Greatest length of a piece (m); None for the sides of the cells.
     """
-    at, weights = np.polynomial.legendre.leggauss(rule)
+    at, weights = gauss(rule)
     longest = np.inf if spacing is None else number("spacing", spacing, 0.0, unit="m")
     places, lengths = [], []
     for d, line in enumerate(lattice.lines):

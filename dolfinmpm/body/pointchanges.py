@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.argumentchecks import array_of, as_tags
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     IdleConditionWarning,
@@ -107,7 +108,7 @@ def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
     """Take points away; see `MaterialPoints.remove`. Collective."""
     going = call_together(points.comm, lambda: _chosen(points, where, tag))
     if tag is not None:
-        check_in_use(points, (tag,))
+        check_in_use(points, as_tags(tag))
     change = _change(points, going)
     if change.count == points.total:
         raise ParameterError(
@@ -159,10 +160,10 @@ def _chosen(points: MaterialPoints, where: Any, tag: int | None) -> npt.NDArray[
         raise ParameterError("remove takes either `where` or `tag`, and one of them")
     n = len(points)
     if tag is not None:
-        return points["tag"] == tag
+        return np.isin(points["tag"], as_tags(tag) or ())
     if isinstance(where, Callable):  # type: ignore[arg-type]
         where = choose("where", where, points["x"])
-    chosen = np.asarray(where)
+    chosen = array_of("where", where)
     if chosen.dtype != bool:
         raise ParameterError(
             f"`where` should be or give booleans, got {_named(where, chosen)}; compare "

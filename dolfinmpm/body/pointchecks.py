@@ -14,7 +14,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import floats
+from dolfinmpm._platform.argumentchecks import array_of, floats, shown
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import (
     DolfinMPMError,
@@ -117,7 +117,7 @@ def checked(what: str, values: Any, shape: tuple[int, ...]) -> npt.NDArray[np.fl
     """
     given = floats(values)
     if given is None:
-        raise FieldShapeError(f"{what} should be numbers of shape {shape}, got {values!r}")
+        raise FieldShapeError(f"{what} should be numbers of shape {shape}, got {shown(values)}")
     if given.shape not in ((), shape) and (len(shape) == 1 or given.shape != shape[1:]):
         raise FieldShapeError(
             f"{what} should have shape {shape} (this rank's points first), got {given.shape}"
@@ -132,12 +132,12 @@ def checked_tag(tag: Any, n: int) -> npt.NDArray[np.int32]:
         FieldShapeError: Their number is not that of the points.
         ParameterError: A tag is not a whole number of at least 0.
     """
-    given = np.asarray(tag)
+    given = array_of("tag", tag)
     if given.size == 0 and n == 0:
         return np.empty(0, np.int32)
     whole = np.issubdtype(given.dtype, np.integer)
     if not whole or given.min() < 0 or given.max() > np.iinfo(np.int32).max:
-        raise ParameterError(f"tag = {tag!r} must be a whole number of at least 0")
+        raise ParameterError(f"tag = {shown(tag)} must be a whole number of at least 0")
     if given.shape not in ((), (n,)):
         raise FieldShapeError(f"tag should have shape {(n,)} or be one number, got {given.shape}")
     return np.broadcast_to(given.astype(np.int32), (n,)).copy()
@@ -180,7 +180,7 @@ def checked_rows(
 
 
 def _whole(what: str, values: Any, n: int, kind: type[np.signedinteger]) -> npt.NDArray[Any]:
-    given = np.asarray(values)
+    given = array_of(what, values)
     if given.shape != (n,):
         raise FieldShapeError(f"{what} should have shape {(n,)}, got {given.shape}")
     if n and not np.issubdtype(given.dtype, np.integer):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import choice, number, shown
+from dolfinmpm._platform.argumentchecks import array_of, choice, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
@@ -309,7 +309,7 @@ def _booleans(what: str, points: MaterialPoints, given: Any) -> Chosen:
     n = len(points)
     if callable(given):
         return choose(what, given, points["x"])
-    chosen = np.array(given)
+    chosen = np.array(array_of(what, given))
     if chosen.dtype != bool and chosen.size:
         raise ParameterError(
             f"{what} = {shown(given)} must be booleans, or a function of positions that gives "

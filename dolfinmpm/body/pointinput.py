@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import floats, shown, truth
+from dolfinmpm._platform.argumentchecks import array_of, floats, shown, truth
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -104,7 +104,7 @@ def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: 
     """The arrays that this rank gives, checked."""
     at = floats(x)
     if at is None:
-        raise FieldShapeError(f"x should be numbers of shape (n, {gdim}), got {x!r}")
+        raise FieldShapeError(f"x should be numbers of shape (n, {gdim}), got {shown(x)}")
     at = np.empty((0, gdim)) if at.size == 0 else at
     if at.ndim == 1 and gdim == 1:
         at = at[:, None]
@@ -136,13 +136,13 @@ def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: 
         half_length = np.repeat(half_length, gdim, axis=1)
     rows["half_length"] = checked("half_length", half_length, (n, gdim))
     if id is not None:
-        numbers = np.asarray(id)
+        numbers = array_of("id", id)
         if numbers.shape != (n,):
             raise FieldShapeError(f"id should have shape {(n,)}, got {numbers.shape}")
         if n and (not np.issubdtype(numbers.dtype, np.integer) or numbers.min() < 0):
             raise ParameterError("id should be whole numbers of at least 0")
         rows["id"] = numbers.astype(np.int64)
-    rows |= _further(fields, at)
+    rows |= {} if fields is None else _further(fields, at)
     _, first = np.unique(rows["x"], axis=0, return_index=True)
     if len(first) < n:
         again = np.setdiff1d(np.arange(n), first)
@@ -166,7 +166,7 @@ def _further(fields, at: Array) -> Rows:
                 f"field '{name}' is one that all points have; give it by its argument, or set "
                 f"points['{name}'] afterwards"
             )
-        shape = np.shape(values)
+        shape = array_of(f"fields['{name}']", values).shape
         if shape[:1] != (n,):
             raise FieldShapeError(f"field '{name}' should have {n} rows, got {shape}")
         rows[f"field:{name}"] = given = checked(f"field '{name}'", values, shape)

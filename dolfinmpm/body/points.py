@@ -225,7 +225,7 @@ class MaterialPoints(PointTable):
             UnsupportedGridError: The cells are curved, or coordinates have single precision.
         """
         rows, others = pointinput.located(
-            grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric
+            grid, x, volume, density, tag, half_length, fields, id, axisymmetric
         )
         points = cls(grid, **rows, axisymmetric=axisymmetric)
         for name, values in others.items():

@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import array_of, shown
 from dolfinmpm._platform.collective import check_same_call, collective
 from dolfinmpm._platform.errors import (
     DolfinMPMError,
@@ -258,7 +258,7 @@ class PointTable(Uncopied):
             ParameterError: Values are no numbers, or no whole numbers for such a field; or they are
                 stresses of points that have moved.
         """
-        if name not in ("stress", "id"):
+        if not isinstance(name, str) or name not in ("stress", "id"):
             self._set(name, values)
             return
         # points of one rank alone may have moved, or may be fewer than the values
@@ -296,7 +296,7 @@ class PointTable(Uncopied):
                 f"{np.ma.count_masked(values)} values for field '{name}' are masked, and each "
                 "point needs one: fill them, as values.filled(0.0)"
             )
-        given = np.asarray(values)
+        given = array_of(f"points['{name}']", values)
         if not np.can_cast(given.dtype, target.dtype, "same_kind"):
             raise ParameterError(
                 f"field '{name}' takes values of kind {target.dtype}, got {given.dtype}"

@@ -201,7 +201,7 @@ class Probe:
             ParameterError: Points of the probe have been removed.
         """
         fields = self.points.fields
-        if name not in fields:
+        if not isinstance(name, str) or name not in fields:
             raise UnknownNameError(
                 f"the material points have no field {shown(name)}; they have {', '.join(fields)}"
             )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 from dolfinmpm._platform.units import in_radians
 
 __all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
@@ -96,9 +96,9 @@ class Shape:
             )
         try:
             inside = np.asarray(self._contains(x))
-        except (IndexError, TypeError, ValueError) as error:
-            if isinstance(error, ParameterError):
-                raise
+        except DolfinMPMError:
+            raise
+        except Exception as error:
             raise ParameterError(
                 f"{type(self).__name__} failed with {type(error).__name__}: {error}. Its function "
                 f"gets coordinates of all {len(x)} positions at once, in {x.shape[1]}D: join "

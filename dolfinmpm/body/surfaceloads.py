@@ -10,7 +10,7 @@ import ufl
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.argumentchecks import coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
@@ -47,7 +47,8 @@ def vector_of(points: MaterialPoints, what: str, given: Any) -> Expr:
     if any(isinstance(c, Expr) for c in given):
         own_grid(points, what, ufl.as_vector(list(given)))
         return ufl.as_vector(list(given))
-    components = [number(f"{what}[{k}]", c) for k, c in enumerate(given)]
+    numbers = coordinates(what, given)
+    components = [number(f"{what}[{k}]", c) for k, c in enumerate(numbers)]
     return own_constant(points.grid, components)
 
 

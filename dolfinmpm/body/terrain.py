@@ -21,6 +21,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.heightvolumes import closed_mesh, volume_between
 from dolfinmpm.body.rasters import raster_of_array, read_raster, refuse_marks, windowed
 from dolfinmpm.body.shapes import Polygon, Shape
+from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["GroundBelow", "Terrain"]
 
@@ -28,6 +29,8 @@ Array = npt.NDArray[np.float64]
 
 # Positions this far outside the raster, as a share of its size, are on its edge
 _SLACK = 1e-9
+# Most parts of a section
+_MOST_PARTS = 100_000
 
 
 class Terrain:
@@ -183,7 +186,8 @@ class Terrain:
             found = rule(nodes)
         bound = self if most is None else most
         check_function("most", bound, "of positions, such as a Terrain")
-        found = np.minimum(found, bound(np.column_stack([nodes, 0 * nodes[:, :1]]).T))
+        places = np.column_stack([nodes, 0 * nodes[:, :1]])
+        found = np.minimum(found, call_function("most", bound, places))
         return Terrain(self.lines, found.reshape(self.heights.shape))
 
     def __call__(self, x: Any) -> Array:
@@ -230,7 +234,7 @@ class Terrain:
                 f"start = {shown(start)} and end = {shown(end)} m must be within the raster, from "
                 f"{low} to {high} m"
             )
-        whole("count", count, 0)
+        whole("count", count, 0, _MOST_PARTS)
         share = np.linspace(0.0, 1.0, max(count, 1) + 1)
         if count == 0:
             for k, line in enumerate(self.lines):

@@ -7,8 +7,9 @@ total, per step, or per second.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,19 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.argumentchecks import at_time, coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import at_time, coordinates, floats, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.givenmotion import Given, Load, vector
 from dolfinmpm.grid.constants import begin_at_zero
 
-__all__ = [
-    "FreeMotion",
-    "Motion",
-    "Pose",
-    "PrescribedMotion",
-    "first_rate",
-    "rotation_of",
-    "vector",
-]
+__all__ = ["FreeMotion", "Motion", "Pose", "PrescribedMotion", "first_rate", "rotation_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -111,22 +105,7 @@ class Pose:
 Motion = Callable[[float], Any]
 
 
-class _Given:
-    """What a motion and a load have in common: a number, a function of t, or a constant."""
-
-    given: Any
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse to be copied or pickled with a constant, which belongs to a grid."""
-        if isinstance(self.given, fem.Constant):
-            raise ParameterError(
-                "a RigidBody with a dolfinx.fem.Constant cannot be copied or pickled, because the "
-                "constant belongs to the grid: make another body with the same arguments"
-            )
-        return super().__reduce_ex__(protocol)
-
-
-class PrescribedMotion(_Given):
+class PrescribedMotion(Given):
     """One prescribed motion, a displacement or a rotation.
 
     Args:
@@ -180,8 +159,7 @@ class PrescribedMotion(_Given):
                 )
             self._first = self.value(given, 0.0)
         elif rate is not None and not callable(rate):
-            constant: Array = vector(name, rate, size)
-            self.rate = lambda t: constant
+            self.rate = functools.partial(_steady, vector(name, rate, size))
         if callable(self.rate):
             self.value(self.rate, 0.0)
 
@@ -207,8 +185,7 @@ class PrescribedMotion(_Given):
 
     def value(self, function: Motion, t: float) -> Array:
         """Value of a function of time at t, shape (size,)."""
-        answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))
-        return vector(f"{self.name}({t:g})", answer, self.size)
+        return vector(f"{self.name}({t:g})", at_time(self.name, function, t), self.size)
 
     def begin(self, start: Array, t: float, dt: float) -> None:
         """Begin a substep of length dt at t: read the value of a constant.
@@ -231,6 +208,11 @@ class PrescribedMotion(_Given):
         # Gauss's rule: a jump of the function at the end of a step belongs to no step
         one, two = (self.value(self.rate, t + s * dt) for s in _GAUSS)
         return np.asarray(self.unit * dt / 2 * (one + two))
+
+
+def _steady(rate: Array, t: float) -> Array:
+    """The same velocity, or increment, at all times."""
+    return rate
 
 
 def first_rate(motion: PrescribedMotion) -> Array:
@@ -273,13 +255,13 @@ class FreeMotion:
         size = 3 if gdim == 2 else 6
         if free is None:
             free = (True,) * size
-        flags = isinstance(free, (Sequence, np.ndarray)) and not isinstance(free, str)
-        if not flags or len(free) != size or any(f not in (False, True) for f in free):
+        flags = floats(free)
+        if flags is None or flags.shape != (size,) or not np.isin(flags, (0.0, 1.0)).all():
             raise ParameterError(
                 f"free = {shown(free)} must have {size} values True or False, one per component: "
                 "the directions first, then the rotations"
             )
-        self.free = np.flatnonzero(np.asarray(free, bool))
+        self.free = np.flatnonzero(flags)
         self.mass = None if mass is None else number("mass", mass, 0.0, unit="kg")
         turns = size - gdim
         self._inertia = None
@@ -302,8 +284,8 @@ class FreeMotion:
             raise ParameterError(
                 "gravity acts on a mass, and the body has none: give mass=... (kg), or a force"
             )
-        self._gravity = _Load("gravity", gravity, gdim)
-        self._force, self._moment = _Load("force", force, gdim), _Load("moment", moment, turns)
+        self._gravity = Load("gravity", gravity, gdim)
+        self._force, self._moment = Load("force", force, gdim), Load("moment", moment, turns)
         self._force.refuse_held(self.free)
         self._moment.refuse_held(self.free - gdim)
         self.velocity = np.array(velocity, float)
@@ -344,50 +326,3 @@ class FreeMotion:
     def parts(self, share: float) -> tuple[Array, Array]:
         """Translation (m) and rotation (rad) of the free components at a share of the step."""
         return share * self.increment[: self._gdim], share * self.increment[self._gdim :]
-
-
-class _Load(_Given):
-    """A load: numbers, a DOLFINx constant, or a function of time."""
-
-    def __init__(self, name: str, given: Any, size: int):
-        self._name, self._size, self.given = name, size, given
-        if given is not None and not isinstance(given, fem.Constant) and not callable(given):
-            self.given = vector(name, given, size)
-        if isinstance(given, fem.Constant) and given.value.size != size:
-            raise ParameterError(f"{name} has {given.value.size} components and must have {size}")
-
-    def refuse_held(self, free: npt.NDArray[np.intp]) -> None:
-        """Raise ParameterError if all that it acts on are components that are not free."""
-        held = np.setdiff1d(np.arange(self._size), free)
-        numbers = self.given if isinstance(self.given, np.ndarray) else np.ones(self._size)
-        if self.given is not None and numbers.any() and not np.delete(numbers, held).any():
-            raise ParameterError(
-                f"the {self._name} acts on components that are not free and would do nothing: let "
-                "the body move there by free=..., or leave it out"
-            )
-
-    def value(self, t: float) -> Array:
-        given = self.given
-        if given is None:
-            return np.zeros(self._size)
-        if isinstance(given, fem.Constant):
-            return np.array(given.value, float).ravel()
-        if callable(given):
-            value = np.atleast_1d(np.asarray(at_time(self._name, given, t)))
-            return vector(f"{self._name}({t:g})", value, self._size)
-        return np.asarray(given)
-
-
-def vector(what: str, given: Any, size: int) -> Array:
-    """A given number of finite numbers as an array, shape (size,).
-
-    Raises:
-        ParameterError: The values are not finite numbers, or their number is wrong.
-    """
-    try:
-        values = np.atleast_1d(np.asarray(given, float))
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.shape != (size,) or not np.isfinite(values).all():
-        raise ParameterError(f"{what} = {shown(given)} must be {size} finite numbers")
-    return values

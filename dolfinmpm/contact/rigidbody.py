@@ -22,8 +22,8 @@ from dolfinmpm.contact.bodymotion import (
     PrescribedMotion,
     first_rate,
     rotation_of,
-    vector,
 )
+from dolfinmpm.contact.givenmotion import vector
 from dolfinmpm.contact.shapesurface import surface_of
 from dolfinmpm.contact.surfaces import RigidSurface, middle_of
 from dolfinmpm.contact.tunnelling import half_thickness, travelled

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.argumentchecks import check_kind, number, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     ParameterError,
@@ -31,7 +31,7 @@ _FULL = 1.6
 
 
 @collective
-def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
+def tied(space: Space, period: float, *, axis: int = 0) -> TiedSides:
     """Tied sides: nodes one period apart in one direction have the same motion. Collective.
 
     The body is one period long, and the ground repeats itself without end. So both sides of the
@@ -82,8 +82,7 @@ def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
             "refine=, or give create_lattice smaller cells where they are wanted"
         )
     d = space.grid.geometry.dim
-    if isinstance(axis, bool) or axis not in range(d):
-        raise ParameterError(f"axis = {axis!r} must be one of {', '.join(map(str, range(d)))}")
+    axis = whole("axis", axis, 0, d - 1)
     basis = space.basis
     assert isinstance(basis, LatticeBasis)
     sizes = np.diff(basis.lattice.lines[axis])
@@ -93,7 +92,8 @@ def tied(space: Space, *, period: float, axis: int = 0) -> TiedSides:
             f"tied sides need equal cells along the axis {axis}; they are {sizes.min():g} to "
             f"{sizes.max():g} m long"
         )
-    count = round(number("period", period, 0.0, unit="m") / h)
+    # a period of two grids is refused before the first step
+    count = round(min(number("period", period, 0.0, unit="m") / h, 2.0 * sizes.size))
     if count < 1 or abs(count * h - period) > 1e-9 * period:
         raise ParameterError(
             f"period = {period:g} m must be a whole number of cells of {h:g} m: take "

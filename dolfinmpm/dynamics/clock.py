@@ -14,7 +14,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.argumentchecks import number, shown, whole
+from dolfinmpm._platform.argumentchecks import array_of, check_kind, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.cut.activation import Activation
@@ -126,7 +126,8 @@ def times(
     [0.1, 0.2, 0.3]
     """
     start, at_once = number("start", start, unit="s"), whole("at_once", at_once, 1)
-    if np.ndim(end) == 1:
+    check_kind("label", label, str, "the text before the bar")
+    if isinstance(end, (list, tuple)) or array_of("end", end).ndim == 1:
         if dt != "auto":
             raise ParameterError(
                 f"dt = {shown(dt)} is of a single time to go to; of times = {shown(end)} all steps "
@@ -148,13 +149,14 @@ def times(
             f"{end - start:g} s: the order is times(end, dt)"
         )
     # rounding must not add a step
-    count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
+    count = (end - start) / step * (1 - 1e-12)
     if count > _MOST:
         raise ParameterError(
             f"dt = {step:g} s makes {count:.3g} steps up to {end:g} s, more than {_MOST:.0e}: "
             'give the length of a step in s, or dt="auto"'
         )
-    along = (start + (end - start) * k / count for k in range(1, count))
+    parts = max(1, math.ceil(count))
+    along = (start + (end - start) * k / parts for k in range(1, parts))
     return _given(start, end, itertools.chain(along, [end]), label)
 
 

@@ -185,6 +185,7 @@ class GroundColumn:
         Raises:
             ParameterError: The record ends before, or begins later.
         """
+        t = number("t", t, unit="s")
         first, last = float(self.time[0]), float(self.time[-1])
         if t < first - 1e-9 * abs(last):
             raise ParameterError(

@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import coordinates, number, shown, text_of, whole
+from dolfinmpm._platform.argumentchecks import (
+    choice,
+    coordinates,
+    number,
+    shown,
+    text_of,
+    whole,
+)
 from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError, warn
 from dolfinmpm.grid.userfunctions import VelocityByTime
 
@@ -143,8 +150,7 @@ class InputMotion(VelocityByTime):
         """
         lines = text_of("record", path).splitlines()
         number("factor", factor), whole("skip", skip, 0)
-        if kind not in ("acceleration", "velocity"):
-            raise ParameterError(f'kind = {kind!r} must be "acceleration" or "velocity"')
+        kind = choice("kind", kind, ("acceleration", "velocity"))
         rows = []
         for k, line in enumerate(lines[skip:], skip + 1):
             words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()

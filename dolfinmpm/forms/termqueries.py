@@ -28,6 +28,7 @@ __all__ = [
     "summands",
     "tags_of",
     "term_of",
+    "unit_of",
 ]
 
 
@@ -150,6 +151,20 @@ def penalty_of(form: ufl.Form, increment: Any) -> Any:
     return (
         found[0] if len(found) == 1 else len(found) / sum(1 / g for g in found) if found else None
     )
+
+
+def unit_of(form: ufl.Form, increment: Any) -> fem.Constant | None:
+    """Unit of an equation from the metadata `UNIT`, or None if it has none.
+
+    Args:
+        form: Weak form.
+        increment: Increment of the equation's field.
+    """
+    for integral in form.integrals():
+        unit = ((integral.metadata() or {}).get(UNIT) or {}).get(increment)
+        if unit is not None:
+            return unit
+    return None
 
 
 def share_units(form: ufl.Form) -> None:

@@ -41,7 +41,11 @@ def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
 
 
 def call_function(
-    what: str, function: Callable[[Array], Any], x: Array, shape: tuple[int, ...] = ()
+    what: str,
+    function: Callable[[Array], Any],
+    x: Array,
+    shape: tuple[int, ...] = (),
+    truths: bool = False,
 ) -> npt.NDArray[np.float64]:
     """Values of a user's function at positions. Not collective; see `call_together`.
 
@@ -51,6 +55,7 @@ def call_function(
         x: Positions (m), shape (n, gdim). With n = 0 the function is not called, because many
             functions fail on empty arrays.
         shape: Shape of one value.
+        truths: Whether truth values count as 0 and 1.
 
     Returns:
         Values, shape (n, *shape). A single value is repeated for all positions.
@@ -62,7 +67,7 @@ def call_function(
     if n == 0:
         return np.empty((0, *shape))
     answer = _call(what, function, x)
-    values = floats(answer)
+    values = floats(answer, truths)
     if values is None or values.shape not in (shape, (n, *shape)):
         got = shown(answer) if values is None else f"shape {values.shape}"
         raise ParameterError(

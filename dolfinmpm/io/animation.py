@@ -26,7 +26,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.pyvistamesh import domains, load_pyvista
 from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.io.encoding import ENDINGS, ffmpeg, join
-from dolfinmpm.io.figures import check_size
+from dolfinmpm.io.figures import check_colours, check_size
 from dolfinmpm.io.frames import Frame, Series, present_frame
 from dolfinmpm.io.gridlines import grid_lines, lines_of_lattice
 from dolfinmpm.io.ownership import refuse_other, take_paths
@@ -90,10 +90,16 @@ class Film:
     """
 
     def __init__(
-        self, points: MaterialPoints, path: Path, look: _Look, bodies: Sequence[RigidBody]
+        self,
+        points: MaterialPoints,
+        path: Path,
+        look: Any = None,
+        bodies: Sequence[RigidBody] = (),
     ):
+        check_kind("look", look, _Look, "make a film with mpm.animate(points, path)")
         self.path = path
-        self._points, self._look, self._bodies = points, look, list(bodies)
+        self._points, self._bodies = points, list(bodies)
+        self._look: _Look = look
         self._comm = points.comm
         # made on rank 0 alone, which is the rank that draws
         self._folder = tempfile.TemporaryDirectory() if self._comm.rank == 0 else None
@@ -257,7 +263,9 @@ def animate(
             load_pyvista()
         check_limits(limits)
         check_size(size, dpi)
-        number("rate", rate, 0.0)
+        number("rate", rate, 1e-3, 1e3, "frames per second", closed=True)
+        if comm.rank == 0:
+            check_colours(cmap)
         check_kind("title", title, str, '"t = {time:.2f} s"')
         try:
             title.format(time=1.0)
@@ -266,7 +274,7 @@ def animate(
         how = draw
         if how is None:
             how = default_draw(points) if isinstance(points, MaterialPoints) else "deformed"
-        choice("draw", how, DRAW)
+        how = choice("draw", how, DRAW)
         return file, _Look(
             colour, component, limits, view, how, title, cmap, size, dpi, float(rate)
         )  # fmt: skip

@@ -18,6 +18,8 @@ __all__ = ["LOOK", "check_picture", "check_size", "figure", "save", "two_numbers
 
 # Points along a side of the largest picture
 _WIDEST = 2**15
+# Least dots per inch: letters have some dots then
+_LEAST_DPI = 10.0
 
 # Okabe & Ito's colours can be told apart by the colour-blind
 LOOK = {
@@ -98,11 +100,11 @@ def figure(
             save(result, path, dpi)
 
 
-def check_size(size: Any, dpi: Any) -> None:
+def check_size(size: Any, dpi: Any = 300) -> None:
     """Raise ParameterError if width and height (inch), or dots per inch, are not positive."""
     if min(two_numbers("size", size)) <= 0:
         raise ParameterError(f"size = {shown(size)} inch must be two positive numbers")
-    number("dpi", dpi, 0.0)
+    number("dpi", dpi, _LEAST_DPI, closed=True)
     if max(size) * dpi > _WIDEST:
         raise ParameterError(
             f"size = {shown(size)} inch with dpi = {dpi:g} makes a picture of more than {_WIDEST} "
@@ -119,9 +121,7 @@ def two_numbers(what: str, values: Any) -> tuple[float, float]:
 
 def check_picture(path: Any, cmap: Any = None) -> None:
     """Raise ParameterError if Matplotlib cannot write the format, or lacks the colour map."""
-    import matplotlib
     from matplotlib.backend_bases import FigureCanvasBase
-    from matplotlib.colors import Colormap
 
     ending = file_path("path", path).suffix[1:].lower()
     known = FigureCanvasBase.filetypes
@@ -130,9 +130,20 @@ def check_picture(path: Any, cmap: Any = None) -> None:
             f"the path of a picture ends in .png, .pdf, ..., got '{path}'; Matplotlib writes "
             f"{', '.join(sorted(known))}"
         )
-    if cmap is not None and not isinstance(cmap, Colormap) and cmap not in matplotlib.colormaps:
+    check_colours(cmap)
+
+
+def check_colours(cmap: Any) -> None:
+    """Raise ParameterError if Matplotlib lacks a colour map."""
+    import matplotlib
+    from matplotlib.colors import Colormap
+
+    if cmap is None or isinstance(cmap, Colormap):
+        return
+    if not isinstance(cmap, str) or cmap not in matplotlib.colormaps:
         names = [name for name in matplotlib.colormaps if not name.endswith("_r")]
-        choice("cmap", cmap, names)
+        near = choice("cmap", cmap, names)
+        raise ParameterError(f"cmap = {shown(cmap)} is {near!r} in Matplotlib: write it so")
 
 
 def save(result, path: str | os.PathLike[str], dpi: int) -> None:

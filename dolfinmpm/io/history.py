@@ -22,7 +22,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm._platform.html import table
 from dolfinmpm.body.probes import Probe
-from dolfinmpm.io.figures import figure
+from dolfinmpm.io.figures import check_size, figure
 from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.tables import check_suffix, write_table
 
@@ -99,9 +99,9 @@ class History:
         return len(self._rows)
 
     def __getitem__(self, name: str) -> npt.NDArray[np.float64]:
-        if name not in self.names:
+        if not isinstance(name, str) or name not in self.names:
             known = ", ".join(self.names) or "no records yet"
-            raise UnknownNameError(f"nothing is recorded as '{name}'; there are {known}")
+            raise UnknownNameError(f"nothing is recorded as {shown(name)}; there are {known}")
         return np.array([row[name] for row in self._rows])
 
     @collective(comm_of=lambda history, *_, **__: history._comm)
@@ -183,7 +183,8 @@ class History:
         ...     curve.record(t=t, load=t**2)
         >>> curve.plot(f"{tempfile.mkdtemp()}/load.png", "t", "load", labels={"t": "time (s)"})
         """
-        if not isinstance(labels or {}, Mapping):
+        check_size(size)
+        if labels is not None and not isinstance(labels, Mapping):
             raise ParameterError(f"labels = {shown(labels)} must be a dictionary, name → text")
         for name in labels or ():
             self[name]
@@ -226,7 +227,7 @@ def _single(name: str, value: Any) -> float:
     try:
         single = np.ndim(value) == 0 and not isinstance(value, (str, bytes))
         number = float(value) if single else None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = None
     if number is None:
         raise ParameterError(

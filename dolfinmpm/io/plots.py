@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_kind, choice, floats, number, shown, truth
+from dolfinmpm._platform.argumentchecks import (
+    array_of,
+    check_kind,
+    choice,
+    floats,
+    number,
+    shown,
+    truth,
+)
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.location import bounds
@@ -111,6 +119,8 @@ def plot(
     def check() -> None:
         check_colour(points, colour, component, cut, view)
         check_limits(limits)
+        check_kind("title", title, str, "the text above the picture")
+        check_kind("label", "" if label is None else label, str, "the text beside the colour bar")
         check_size(size, dpi)
         check_bodies(bodies, points.gdim)
         number("max_aspect", max_aspect, 1.0, math.inf, closed=True)
@@ -169,18 +179,18 @@ def _components(shape: tuple[int, ...]) -> str:
 def check_colour(points, colour, component, cut, view) -> None:
     """Raise ParameterError if the points lack a field, component or direction of `plot`."""
     known = [*points.fields, "displacement"]
-    if colour not in known:
-        raise ParameterError(f"no field '{colour}' to colour by; there are {', '.join(known)}")
+    if not isinstance(colour, str) or colour not in known:
+        raise ParameterError(f"no field {shown(colour)} to colour by; there are {', '.join(known)}")
     shape = (points.gdim,) if is_derived(points, colour) else points[colour].shape[1:]
     if isinstance(component, str):
         fits = component in ("mean", "mises") and shape == (3, 3)
     else:
-        index = () if component is None else tuple(np.atleast_1d(component))
-        fits = len(shape) <= 2 and (not index or len(index) == len(shape))
+        index = () if component is None else tuple(np.ravel(array_of("component", component)))
+        fits = len(shape) <= 2 and len(index) == (0 if component is None else len(shape))
         fits = fits and all(_is_index(i, n) for i, n in zip(index, shape))
     if not fits:
         raise ParameterError(
-            f"component = {component!r} does not fit '{colour}' of shape {shape}: "
+            f"component = {shown(component)} does not fit '{colour}' of shape {shape}: "
             f"{_components(shape)}"
         )
     pair = isinstance(cut, (tuple, list)) and len(cut) == 2

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import whole
+from dolfinmpm._platform.argumentchecks import check_kind, whole
 
 __all__ = ["progress", "progress_to", "steps"]
 
@@ -39,12 +39,14 @@ def steps(number: int, *, label: str = "") -> Iterator[float]:
     [0.25, 0.5, 0.75, 1.0]
     """
     count = whole("number of steps", number, 1)
+    check_kind("label", label, str, "the text before the bar")
     # checked here, because a generator would check only at the first step
     return (k / count for k in progress(range(1, count + 1), label))
 
 
 def progress(items: Sequence[Item], label: str = "") -> Iterator[Item]:
     """The items one after the other, with a progress bar on rank 0 as `steps` draws it."""
+    check_kind("label", label, str, "the text before the bar")
     bar = _bar(len(items), label, "step")
     try:
         for item in items:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.argumentchecks import choice
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.figures import LOOK, save
 
@@ -49,7 +50,7 @@ class Scene:
             self._keep(np.abs(self.x[:, normal] - cut[1]) <= reach, f"plane {cut}")
         self.x, self.edges = self.x[:, kept], self.edges[:, kept][:, :, kept]
         reach = np.abs(self.edges).sum(axis=2)
-        if view == "points":
+        if isinstance(view, str) and choice("view", view, ("grid", "points")) == "points":
             box = np.array([(self.x - reach).min(axis=0), (self.x + reach).max(axis=0)]).T
         else:
             box = extent[kept] if isinstance(view, str) else np.array(view, float)

@@ -104,7 +104,7 @@ def permeability_of(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
         if isinstance(given, PointField):
             _check_field(given, points)
         return given
-    if np.ndim(given) == 0 and not isinstance(given, str):
+    if not isinstance(given, (list, tuple, str)) and np.ndim(given) == 0:
         return own_constant(points.grid, number("permeability", given, 0.0, math.inf, "m/s", True))
     tensor = _tensor(given)
     if not np.isfinite(tensor).all():
@@ -171,12 +171,12 @@ def gravity_of(gravity: Any, points: MaterialPoints) -> Any:
                 f"gravity has shape {gravity.ufl_shape} and must be a vector of {points.gdim}"
             )
         return gravity
-    components = np.ravel(np.asarray(gravity, object))
-    if len(components) != points.gdim:
+    components = floats(gravity, truths=False)
+    if components is None or components.shape != (points.gdim,):
         raise ParameterError(
             f"gravity = {shown(gravity)} must be a vector of {points.gdim} components (m/s²)"
         )
-    return own_constant(points.grid, [number("gravity", c) for c in components])
+    return own_constant(points.grid, [number("gravity", float(c)) for c in components])
 
 
 def suction_of(suction: Any, points: MaterialPoints) -> Any:

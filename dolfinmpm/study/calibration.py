@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown, whole
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_takes,
+    coordinates,
+    number,
+    shown,
+    whole,
+)
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 from dolfinmpm.study.derivatives import sizes_of
 from dolfinmpm.study.scenerun import Scene
@@ -182,6 +189,7 @@ def calibrate(
     whole("max_runs", max_runs, 1)
     if progress is not None:
         check_function("progress", progress, "of a row of the trace")
+        check_takes("progress", progress, {})
     data, scaled = _measurements(measured, {} if weights is None else weights)
     settings = {"bounds": bounds, "confidence": confidence, "tolerance": tolerance,
                 "max_runs": max_runs}  # fmt: skip

@@ -321,6 +321,8 @@ def sizes_of(parameters: Mapping[str, float], scales: Mapping[str, float]) -> di
         raise ParameterError(
             f"parameters = {shown(parameters)} must be a dictionary of names and numbers"
         )
+    if not isinstance(scales, Mapping):
+        raise ParameterError(f"scales = {shown(scales)} must be a dictionary of names and numbers")
     for name in scales:
         if name not in parameters:
             raise ParameterError(

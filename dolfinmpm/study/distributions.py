@@ -18,6 +18,8 @@ from dolfinmpm._platform.errors import MissingPackageError, ParameterError
 __all__ = ["LogNormal", "Normal", "checked", "openturns"]
 
 Array = npt.NDArray[np.float64]
+# Bound of a coefficient of variation, as in `RandomField`: 30 is 30 %, written as a number
+_LARGEST = 10.0
 
 
 def openturns() -> Any:
@@ -94,7 +96,7 @@ class LogNormal:
 
     def __post_init__(self) -> None:
         number("mean", self.mean, 0.0)
-        number("coefficient", self.coefficient, 0.0)
+        number("coefficient", self.coefficient, 0.0, _LARGEST)
 
     @property
     def middle(self) -> float:

@@ -130,7 +130,7 @@ def legs_of(path: Any, to: Any, by: str, steps: int) -> list[Leg]:
     Raises:
         ParameterError: An argument is out of range.
     """
-    choice("by", by, ("strain", "stress"))
+    by = choice("by", by, ("strain", "stress"))
     if not isinstance(path, str):
         refuse_idle("by", by, "strain", "legs name strains and stresses themselves")
         return _given_legs(path, to, steps)

@@ -9,7 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_kind,
+    coordinates,
+    number,
+    shown,
+)
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.study.derivatives import Derivatives, differentiate
 from dolfinmpm.study.distributions import openturns
@@ -62,6 +68,7 @@ class LimitState:
             )
         for name, size in sizes.items():
             number(f"sizes['{name}']", size, 0.0)
+        check_kind("limit", limit, str, 'the name of a figure of the scene, such as "margin"')
         self._scene, self._limit, self._sizes = scene, limit, dict(sizes)
         self.names, self.runs = list(sizes), [0, 0]
         self._comm: MPI.Intracomm = MPI.COMM_SELF

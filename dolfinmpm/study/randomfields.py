@@ -25,10 +25,7 @@ __all__ = ["RandomField"]
 Array = npt.NDArray[np.float64]
 
 # Correlation over the scaled distance
-_KERNELS = {
-    "gaussian": lambda r: np.exp(-(r**2)),
-    "exponential": lambda r: np.exp(-r),
-}
+_KERNELS = {"gaussian": lambda r: np.exp(-(r**2)), "exponential": lambda r: np.exp(-r)}
 # Nodes per correlation length, and the most nodes of a field
 _PER_LENGTH, _MOST = 4, 2500
 # Kernels with a cusp lose much of their variance between nodes, in proportion to the distance:
@@ -108,8 +105,7 @@ class RandomField:
         self._lengths = per_direction("lengths", lengths, gdim)
         for length in self._lengths:
             number("lengths", float(length), 0.0, unit="m")
-        kernel = choice("kernel", kernel, _KERNELS)
-        self._kernel, self._cusp = _KERNELS[kernel], kernel in _CUSPS
+        self._kernel = choice("kernel", kernel, _KERNELS)
         mean, coefficient = number("mean", mean), number("coefficient", coefficient, 0.0, 10.0)
         self._lognormal = truth("lognormal", lognormal)
         if self._lognormal:
@@ -118,7 +114,7 @@ class RandomField:
             self._middle = math.log(mean) - 0.5 * self._deviation**2
         else:
             self._middle, self._deviation = mean, coefficient * abs(mean)
-        count = whole("modes", modes, 1)
+        count = whole("modes", modes, 1, _MOST)
         check_kind("name", name, str, 'such as "xi"')
         self.names = [f"{name}{k + 1}" for k in range(count)]
         self.share = self._solve(count)
@@ -130,18 +126,19 @@ class RandomField:
             ParameterError: The box has too many correlation lengths, or there are too many modes.
         """
         ratio = (self._high - self._low) / self._lengths
-        numbers = np.maximum(np.ceil(_PER_LENGTH * ratio).astype(int), 6)
-        total = int(np.prod(numbers))
-        if total > _MOST:
+        nodes = np.maximum(np.ceil(_PER_LENGTH * ratio), 6.0)
+        if (total := math.prod(nodes.tolist())) > _MOST:
             raise ParameterError(
                 f"the box has {', '.join(f'{r:.3g}' for r in ratio)} correlation lengths, which "
-                f"take {total} nodes; {_MOST} is the limit: take a smaller box or longer lengths"
+                f"take {total:.4g} nodes; {_MOST} is the limit: take a smaller box or longer "
+                "lengths"
             )
-        if self._cusp:
+        numbers = nodes.astype(int)
+        if self._kernel in _CUSPS:
             wanted = min(max(2**ratio.size * total, _PER_MODE * count), _FINE)
             factor = (wanted / total) ** (1 / ratio.size)
             numbers = np.maximum(numbers, np.floor(factor * numbers).astype(int))
-            total = int(np.prod(numbers))
+        total = int(np.prod(numbers))
         if count > total:
             raise ParameterError(f"modes = {count} must be at most the number of nodes, {total}")
         return numbers
@@ -177,7 +174,7 @@ class RandomField:
         scaled = x / self._lengths
         nodes = self._nodes / self._lengths
         square = np.sum((scaled[:, None, :] - nodes[None, :, :]) ** 2, axis=2)
-        return np.asarray(self._kernel(np.sqrt(square)))
+        return np.asarray(_KERNELS[self._kernel](np.sqrt(square)))
 
     def at(self, x: npt.ArrayLike, xi: Mapping[str, float]) -> Array:
         """Values of the field, shape (n,).
@@ -239,5 +236,6 @@ class RandomField:
         Raises:
             ParameterError: The seed is something else. Without a seed, ranks would differ.
         """
-        values = np.random.default_rng(whole("seed", seed, 0)).standard_normal(len(self.names))
+        rng = np.random.default_rng(whole("seed", seed, 0, math.inf))
+        values = rng.standard_normal(len(self.names))
         return {name: float(xi) for name, xi in zip(self.names, values)}

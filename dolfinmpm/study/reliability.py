@@ -67,7 +67,7 @@ class Reliability:
             sampling in structural systems*, doi 10.1016/0167-4730(89)90003-9.
         """
         ot = openturns()
-        count, rng = whole("runs", runs, 2), np.random.default_rng(whole("seed", seed, 0))
+        count, rng = whole("runs", runs, 2), np.random.default_rng(whole("seed", seed, 0, math.inf))
         u0 = np.array(list(self.normal_design.values()))
         found = np.zeros(count)
         for k in range(count):

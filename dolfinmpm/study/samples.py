@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_function, choice, whole
+from dolfinmpm._platform.argumentchecks import check_function, check_kind, choice, whole
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     ParameterError,
@@ -48,7 +48,7 @@ def last_figures(
         ParameterError: The figure is unknown or not a number, or the scene takes no communicator.
         ConvergenceError: A run finds no solution, with unconverged="raise".
     """
-    choice("unconverged", unconverged, ("raise", "failure"))
+    unconverged = choice("unconverged", unconverged, ("raise", "failure"))
     world = MPI.COMM_WORLD
     if ranks is None:
         return np.array([_figure(scene, (m,), limit, unconverged) for m in samples])
@@ -176,9 +176,10 @@ def monte_carlo(
     0.15
     """
     check_function("scene", scene, "of a dictionary of parameters")
+    check_kind("limit", limit, str, 'the name of a figure of the scene, such as "margin"')
     places = checked(distributions)
     whole("runs", runs, 2)
-    z = np.random.default_rng(whole("seed", seed, 0)).standard_normal((runs, len(places)))
+    z = np.random.default_rng(whole("seed", seed, 0, math.inf)).standard_normal((runs, len(places)))
     columns = {name: place(z[:, k]) for k, (name, place) in enumerate(places.items())}
     samples = [{name: float(x[k]) for name, x in columns.items()} for k in range(runs)]
     values = last_figures(scene, samples, limit, ranks=ranks, unconverged=unconverged)

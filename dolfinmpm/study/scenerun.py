@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakSet
@@ -10,7 +10,14 @@ from weakref import WeakSet
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_function, check_kind, coordinates, shown
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_kind,
+    check_takes,
+    coordinates,
+    shown,
+    truth,
+)
 from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.problem import Problem
@@ -20,6 +27,8 @@ __all__ = ["Run", "Scene", "built", "figure", "last_number", "last_value", "take
 # Points of all runs that scenes have returned
 _RETURNED: WeakSet[MaterialPoints] = WeakSet()
 Scene = Callable[[dict[str, float]], "Run"]
+# What has items that are no steps
+_NO_STEPS = (str, bytes, Mapping, Set, np.ndarray)
 
 
 @dataclass
@@ -58,8 +67,10 @@ class Run:
     given: bool = False
 
     def __post_init__(self) -> None:
-        for problem in self.problems:
+        several: list[Any] = [*self.problems]
+        for problem in several or [None]:
             check_kind("problem", problem, Problem, "give a problem of dolfinmpm")
+        truth("given", self.given)
         if not isinstance(self.measured, Mapping) or not self.measured:
             raise ParameterError(
                 f"measured = {shown(self.measured)} must be a dictionary of functions, such as "
@@ -72,6 +83,11 @@ class Run:
                 check_function("each of steps", step, "without arguments")
             if not self.steps:
                 raise ParameterError("steps = [] has no step: derivatives are those of a run")
+        elif not isinstance(self.steps, Iterable) or isinstance(self.steps, _NO_STEPS):
+            raise ParameterError(
+                f"steps = {shown(self.steps)} must be a list of functions without arguments, such "
+                "as [problem.step], or an iterator that takes a step for each item"
+            )
 
     @property
     def problems(self) -> list[Problem]:
@@ -104,6 +120,7 @@ def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) 
         ParameterError: The scene returns something else, such as None, or lacks the figure; or its
             points are those of an earlier run, and have moved.
     """
+    check_takes("scene", scene, *arguments)
     run = scene(*arguments)
     check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
     for problem in run.problems:
@@ -111,7 +128,7 @@ def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) 
         _RETURNED.add(problem.points)
     if limit is not None and limit not in run.measured:
         raise ParameterError(
-            f"limit = '{limit}' is no figure of the scene; its figures are "
+            f"limit = {shown(limit)} is no figure of the scene; its figures are "
             f"{', '.join(run.measured)}"
         )
     return run

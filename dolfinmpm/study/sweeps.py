@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
+from dolfinmpm._platform.argumentchecks import check_takes, coordinates, floats, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress
 
@@ -30,6 +30,7 @@ def _figures(scene: Callable[[Any], Any], place: Any) -> Row:
         raise ParameterError(
             f"scene = {shown(scene)} must be a function that returns figures for a place or size"
         )
+    check_takes("scene", scene, place)
     answer = scene(place)
     if is_dataclass(answer) and not isinstance(answer, type):
         return asdict(answer)
@@ -123,6 +124,8 @@ def convergence(
         real = (float, np.floating)
         errors = [k for k in rows[0] if k != "h" and any(isinstance(r[k], real) for r in rows)]
     errors = [errors] if isinstance(errors, str) else errors
+    if not isinstance(errors, (list, tuple)) or not all(isinstance(e, str) for e in errors):
+        raise ParameterError(f"errors = {shown(errors)} must be a list of names of figures")
     missing = [name for name in errors if any(name not in row for row in rows)]
     if missing:
         raise ParameterError(

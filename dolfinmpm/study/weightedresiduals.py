@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.argumentchecks import check_takes
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import (
     ConvergenceError,
@@ -86,6 +87,7 @@ class WeightedResiduals:
         return (value - start) / self._sizes[name]
 
     def _built(self, m: dict[str, float]) -> Run:
+        check_takes("scene", self._scene, m)
         run = self._scene(m)
         if isinstance(run, Run):
             self._comm = run.problems[0].comm

@@ -230,3 +230,41 @@ def test_what_has_no_reaction_is_told():
     explicit, its, _ = column(kind=mpm.Explicit, stabilisation="none")
     with pytest.raises(mpm.errors.ParameterError, match="keeps no reactions"):
         mpm.reaction(explicit, its)
+
+
+def wet(prescribed, load=0.0):
+    """A wet column of 2 m by 4 m, with conditions of the pressure at its ends."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 2, 5), np.linspace(0, 4, 9)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 4)), 2, 2000.0)
+    V, Q = mpm.Space(grid), mpm.Space(grid, shape=())
+    u, p = V.increment, Q.increment
+    clay = mpm.materials.Hencky(1e7, 0.3)
+    F = mpm.poromechanics(clay, points, (u, p), (V.test, Q.test), permeability=1e-5, porosity=0.4)
+    F += mpm.Surface(points, lambda x: x[1] > 3.9, (0, 1)).pressure(load, u, V.test)
+    ends = prescribed(Q)
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right") + [c for e in ends for c in e]
+    return mpm.Transient(F, [u, p], points, bcs), ends, bcs
+
+
+def test_flow_of_water_through_a_column():
+    """Darcy: k i A, in at the bottom and out at the top."""
+    problem, (top, bottom), bcs = wet(
+        lambda Q: (mpm.fixed(Q, "top"), mpm.prescribed(Q, "bottom", 0, value=2e3))
+    )
+    problem.step(1e6)
+    with pytest.raises(mpm.errors.ParameterError, match="2 fields, whose forces and flows have no"):
+        mpm.reaction(problem, bcs)
+    flow = 1e-5 * 2e3 / (9810.0 * 4.0) * 2.0
+    np.testing.assert_allclose(mpm.reaction(problem, bottom), [flow], rtol=1e-3)
+    np.testing.assert_allclose(mpm.reaction(problem, top), [-flow], rtol=1e-3)
+
+
+def test_water_that_leaves_makes_the_body_smaller():
+    problem, (bottom,), _ = wet(lambda Q: (mpm.fixed(Q, "bottom"),), load=1e4)
+    volume = problem.points["V"].sum()
+    for t in (1.0, 20.0):
+        dt = t - problem.time
+        problem.step(t)
+        change, volume = problem.points["V"].sum() - volume, problem.points["V"].sum()
+        assert change < -1e-4
+        np.testing.assert_allclose(mpm.reaction(problem, bottom) * dt, [change], rtol=1e-6)

@@ -291,7 +291,7 @@ def test_a_field_by_its_seed_and_of_bad_values():
     for wrong, message in (
         ({"lengths": 0.0}, "lengths"),
         ({"lengths": 0.01}, "200, 100|400, 200"),
-        ({"modes": 10**5}, "at most the number of nodes"),
+        ({"modes": 10**5}, "at most 2500"),
         ({"high": (0, 2)}, "must be above low"),
         ({"kernel": "square"}, "kernel"),
         ({"lengths": (1.0, 2.0, 3.0)}, "one number, or 2"),
