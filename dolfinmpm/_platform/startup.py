@@ -47,10 +47,8 @@ check_version(__version__, MPI.COMM_WORLD.rank)
 from dolfinmpm._platform.brokenpipe import end_quietly
 from dolfinmpm._platform.compat import kernel_arguments
 from dolfinmpm._platform.kernelcache import forget_outdated
-from dolfinmpm._platform.uncopied import explain_grids
 from dolfinmpm._platform.watchdog import watch
 
 forget_outdated(Path(__file__).parents[1], f"kernels of {kernel_arguments()} arguments")
 watch(MPI.COMM_WORLD)
 end_quietly()
-explain_grids()

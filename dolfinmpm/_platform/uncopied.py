@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import copyreg
 from typing import Any, NoReturn
-
-from dolfinx import cpp
 
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["Uncopied", "explain_grids"]
-
-# Beginnings of the names of DOLFINx's classes in C++ that belong to a mesh
-_ON_MESHES = ("Mesh_", "Geometry_", "Topology", "FunctionSpace_", "Function_", "Constant_", "Form_")
+__all__ = ["Uncopied"]
 
 
 class Uncopied:
@@ -32,21 +26,3 @@ class Uncopied:
             "its ranks: make another one with the same arguments. To come back to a state, keep it "
             "by problem.save(path), and call problem.load(path)"
         )
-
-
-def explain_grids() -> None:
-    """Let `pickle` and `copy.deepcopy` of what is on a grid end in an error that says what to do.
-
-    Forms, functions and fields of points hold objects of C++, which Python cannot pickle.
-    """
-    for name, kind in {**vars(cpp.mesh), **vars(cpp.fem)}.items():
-        if name.startswith(_ON_MESHES):
-            copyreg.pickle(kind, _refuse)
-
-
-def _refuse(what: Any) -> NoReturn:
-    raise ParameterError(
-        f"a {type(what).__name__.partition('_')[0]} of DOLFINx cannot be copied or pickled, and so "
-        "neither can what is on it, such as forms, functions and fields of points: make them anew, "
-        'or keep arrays, such as points["density"].copy()'
-    )

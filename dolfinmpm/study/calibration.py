@@ -16,7 +16,7 @@ from dolfinmpm._platform.argumentchecks import (
     number,
     shown,
     whole,
-)
+)  # fmt: skip
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 from dolfinmpm.study.derivatives import sizes_of
 from dolfinmpm.study.scenerun import Scene

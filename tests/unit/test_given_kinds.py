@@ -8,8 +8,6 @@ import pickle
 
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
@@ -117,21 +115,6 @@ def test_rigid_bodies_with_other_functions_say_so():
         with pytest.raises(ParameterError, match=r"function of time can be pickled if .* by def"):
             pickle.dumps(body)
     np.testing.assert_array_equal(copy.deepcopy(moved).prescribed(3.0)[0], (0.0, -3.0))
-
-
-def test_what_is_on_a_grid_cannot_be_pickled():
-    """Python had ended in a TypeError about objects of C++."""
-    points = block()
-    V = mpm.Space(points.grid)
-    g = fem.Constant(points.grid, (0.0, -1.0))
-    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
-    F -= ufl.inner(points.density * g, V.test) * points.dX
-    for one in (F, V.increment, V.test, points.density, points.dX, g):
-        for copied in (pickle.dumps, copy.deepcopy):
-            with pytest.raises(
-                ParameterError, match=r"DOLFINx cannot be copied or pickled, and so"
-            ):
-                copied(one)
 
 
 def test_random_fields_can_be_pickled():
