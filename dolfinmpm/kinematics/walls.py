@@ -203,9 +203,10 @@ class Wall:
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
-        touches = distance < _TOUCHES * largest_cell(markers.grid)
+        touches, pressed = distance < _TOUCHES * largest_cell(markers.grid), gap > 0.0
         gap[new] = np.where(touches, 0.0, -distance)[new]
-        self._inherit(new, known > 0.0, (gap, shear))
+        # a body that rolls comes near at markers beside those that it touches
+        self._inherit(new & touches, pressed, (gap, shear))
         gap[~on], shear[~on] = 0.0, 0.0
         known[:] = on
 
@@ -215,11 +216,11 @@ class Wall:
         old: npt.NDArray[np.bool_],
         fields: tuple[npt.NDArray[np.float64], ...],
     ) -> None:
-        """Copy fields from near markers with the body to markers that the body reaches. Collective.
+        """Copy fields from near markers under pressure to those that the body reaches. Collective.
 
         Args:
-            new: Whether the body reaches each marker in this step, shape (markers,).
-            old: Whether the body was at each marker in the last step, shape (markers,).
+            new: Whether the body comes to touch each marker in this step, shape (markers,).
+            old: Whether the body pressed on each marker in the last step, shape (markers,).
             fields: Fields of the markers; changed.
         """
         markers, comm = self.boundary.markers, self.boundary.points.comm
