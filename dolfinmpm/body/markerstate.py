@@ -16,7 +16,6 @@ from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.markerdistance import APART
-from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["keys_of", "leave_with_removed", "nearest", "take_state"]
 
