@@ -200,14 +200,16 @@ class Wall:
             M = self.declaration.elastic.moduli()[:, 0]
             rows_of = self.declaration.rows
             k[rows_of] = self.penalty * M / sizes[rows_of]
-        on, distance = in_front(self.boundary, rows)
+        on, distance = in_front(self.boundary, rows, sizes)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
         touches, pressed = distance < _TOUCHES * largest_cell(markers.grid), gap > 0.0
         gap[new] = np.where(touches, 0.0, -distance)[new]
-        # a body that rolls comes near at markers beside those that it touches
-        self._inherit(new & touches, pressed, (gap, shear))
-        gap[~on], shear[~on] = 0.0, 0.0
+        # a body that rolls is further away than at the markers that it presses on
+        there = distance.copy()
+        self._inherit(new & touches, pressed, (gap, shear, there))
+        gap -= np.maximum(distance - there, 0.0)
+        gap[~on], shear[~on | (gap < 0.0)] = 0.0, 0.0
         known[:] = on
 
     def _inherit(
