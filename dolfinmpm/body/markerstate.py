@@ -130,10 +130,14 @@ def keys_of(x0: Array) -> Array:
 def _nearest(boundary: Boundary, at: Array, tags: Tags, x: str):
     """`nearest` among the points of some tags of a boundary, at their positions of that name."""
     points = boundary.points
-    own = slice(None) if tags is None else np.flatnonzero(np.isin(points["tag"], tags))
-    half = points["l"][own] if "body_l" in boundary.markers.fields else None
-    distance, key, rows = nearest(points[x][own], keys_of(points["x0"][own]), at, half)
-    return distance, key, rows if tags is None or not own.size else own[rows]
+    places = points[x], keys_of(points["x0"])
+    half = points["l"] if "body_l" in boundary.markers.fields else None
+    if tags is None:
+        return nearest(*places, at, half)
+    own = np.flatnonzero(np.isin(points["tag"], tags))
+    half = None if half is None else half[own]
+    distance, key, rows = nearest(places[0][own], places[1][own], at, half)
+    return distance, key, own[rows] if own.size else rows
 
 
 def _from_all(
