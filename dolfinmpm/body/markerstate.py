@@ -1,4 +1,8 @@
-"""The state of a body at the markers of a boundary: that of the nearest material point."""
+"""The state of a body at the markers of a boundary: that of the nearest material point.
+
+Markers of walls, in front of which the body moves, take the point with the nearest domain. The
+nearest centre may be that of a thin domain at the edge of a body, which is not at the marker.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,6 @@ from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.markerdistance import APART
-from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["keys_of", "leave_with_removed", "nearest", "take_state"]
 
@@ -25,6 +28,9 @@ _PLACE = {"body_x": "x", "body_l": "l", "body_x0": "x0"}
 # Points that are as near as another but for this share are equally near: one of them is chosen by
 # a sum of its first coordinates, with weights that no lattice has ties for
 _SAME = 1e-7
+# Share of the distance of centres beside that of domains: of domains that meet, the nearest centre
+# counts
+_CENTRES = 0.01
 _WEIGHTS = np.sqrt([2.0, 3.0, 7.0])
 
 
@@ -43,7 +49,7 @@ def take_state(boundary: Boundary, tags: Tags = None) -> None:
     names = {name: name for name in points.fields if name not in _OWN}
     names |= {of: name for of, name in _PLACE.items() if of in markers.fields}
     if points.comm.size == 1:
-        rows = _nearest(points, markers[x], tags, x)[2]
+        rows = _nearest(boundary, markers[x], tags, x)[2]
         found: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
     else:
         found = _from_all(boundary, names, tags, x)
@@ -85,7 +91,7 @@ def leave_with_removed(boundary: Boundary) -> None:
         markers.fields[APART][lost[first : first + len(markers)]] = 1.0
 
 
-def nearest(x: Array, key: Array, at: Array):
+def nearest(x: Array, key: Array, at: Array, half: Array | None = None):
     """Distances (m), keys and rows of the places nearest to positions, each of shape (n,).
 
     Of places that are equally near the one with the least key counts.
@@ -94,20 +100,26 @@ def nearest(x: Array, key: Array, at: Array):
         x: Places (m), shape (m, gdim).
         key: A number of each that does not depend on the ranks, see `keys_of`.
         at: Positions (m), shape (n, gdim).
+        half: Half-lengths of domains at the places (m), shape (m, gdim), if the nearest domain
+            counts, of those with the eight nearest centres.
     """
     from scipy.spatial import cKDTree
 
     if len(x) == 0 or len(at) == 0:
         far = np.full(len(at), np.inf)
         return far, far.copy(), np.zeros(len(at), np.intp)
-    count = min(4, len(x))
+    count = min(4 if half is None else 8, len(x))
     distance, rows = cKDTree(x).query(at, count)
     distance, rows = distance.reshape(len(at), count), rows.reshape(len(at), count)
-    same = distance <= distance[:, :1] * (1 + _SAME)
+    if half is not None:
+        outside = np.maximum(np.abs(at[:, None] - x[rows]) - half[rows], 0.0)
+        distance = np.linalg.norm(outside, axis=2) + _CENTRES * distance
+    least = distance.min(axis=1)
+    same = distance <= least[:, None] * (1 + _SAME)
     keys = np.where(same, key[rows], np.inf)
     best = np.argmin(keys, axis=1)
     every = np.arange(len(at))
-    return np.ascontiguousarray(distance[:, 0]), keys[every, best], rows[every, best]
+    return least, keys[every, best], rows[every, best]
 
 
 def keys_of(x0: Array) -> Array:
@@ -115,12 +127,16 @@ def keys_of(x0: Array) -> Array:
     return np.asarray(x0 @ _WEIGHTS[: x0.shape[1]], np.float64)
 
 
-def _nearest(points: MaterialPoints, at: Array, tags: Tags, x: str):
-    """`nearest` among points of some tags, at their positions of that name."""
+def _nearest(boundary: Boundary, at: Array, tags: Tags, x: str):
+    """`nearest` among the points of some tags of a boundary, at their positions of that name."""
+    points = boundary.points
+    places = points[x], keys_of(points["x0"])
+    half = points["l"] if "body_l" in boundary.markers.fields else None
     if tags is None:
-        return nearest(points[x], keys_of(points["x0"]), at)
+        return nearest(*places, at, half)
     own = np.flatnonzero(np.isin(points["tag"], tags))
-    distance, key, rows = nearest(points[x][own], keys_of(points["x0"][own]), at)
+    half = None if half is None else half[own]
+    distance, key, rows = nearest(places[0][own], places[1][own], at, half)
     return distance, key, own[rows] if own.size else rows
 
 
@@ -131,7 +147,7 @@ def _from_all(
     points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
     counts = comm.allgather(len(markers))
     at = np.concatenate(comm.allgather(markers[x]))
-    distance, key, rows = _nearest(points, at, tags, x)
+    distance, key, rows = _nearest(boundary, at, tags, x)
     least = np.empty_like(distance)
     comm.Allreduce(distance, least, op=MPI.MIN)
     key[distance > least * (1 + _SAME)] = np.inf

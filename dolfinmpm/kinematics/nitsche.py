@@ -147,7 +147,7 @@ class WeakCondition:
             assert self.declaration is not None
             markers[self.moduli][self.declaration.rows] = self.declaration.elastic.moduli()
         if self.on is not None:
-            on = in_front(self.boundary, rows)[0]
+            on = in_front(self.boundary, rows, sizes)[0]
             markers[self.on] = on.astype(float)
             # where the body has left the boundary, no gap remains
             self.gaps()[~on] = 0.0

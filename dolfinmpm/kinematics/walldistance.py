@@ -13,8 +13,8 @@ __all__ = ["in_front", "look_ahead"]
 Array = npt.NDArray[np.float64]
 
 # Domains of a deformed body leave gaps. A marker may therefore miss the nearest domain sideways by
-# half the domain's half-length,
-_REACH = 1.5
+# half the domain's half-length, or beside a thin domain by a share of a cell,
+_REACH, _BESIDE = 0.5, 1 / 16
 # plus a rounding error, as a share of a cell
 _SLACK = 1e-6
 
@@ -26,13 +26,14 @@ def look_ahead(boundary: Boundary) -> None:
 
 
 def in_front(
-    boundary: Boundary, rows: npt.NDArray[np.integer]
+    boundary: Boundary, rows: npt.NDArray[np.integer], sizes: Array
 ) -> tuple[npt.NDArray[np.bool_], Array]:
     """Whether the body is in front of each marker, and its distance along the normal.
 
     Args:
         boundary: The wall, after `look_ahead`.
         rows: Markers in active cells.
+        sizes: Sizes of the cells at the markers (m), shape (markers,).
 
     Returns:
         The answers, shape (markers,), and the distances from the nearest point's domain (m), shape
@@ -45,5 +46,6 @@ def in_front(
     sideways = np.abs(offset - normal[:, None] * n)
     on = np.zeros(len(markers), bool)
     slack = _SLACK * largest_cell(markers.grid)
-    on[rows] = np.all(sideways[rows] <= _REACH * half[rows] + slack, axis=1)
+    beside = np.maximum(_REACH * half[rows], _BESIDE * sizes[rows, None])
+    on[rows] = np.all(sideways[rows] <= half[rows] + beside + slack, axis=1)
     return on, normal - np.sum(np.abs(n) * half, axis=1)

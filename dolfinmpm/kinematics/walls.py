@@ -200,13 +200,16 @@ class Wall:
             M = self.declaration.elastic.moduli()[:, 0]
             rows_of = self.declaration.rows
             k[rows_of] = self.penalty * M / sizes[rows_of]
-        on, distance = in_front(self.boundary, rows)
+        on, distance = in_front(self.boundary, rows, sizes)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
-        touches = distance < _TOUCHES * largest_cell(markers.grid)
+        touches, pressed = distance < _TOUCHES * largest_cell(markers.grid), gap > 0.0
         gap[new] = np.where(touches, 0.0, -distance)[new]
-        self._inherit(new, known > 0.0, (gap, shear))
-        gap[~on], shear[~on] = 0.0, 0.0
+        # a body that rolls is further away than at the markers that it presses on
+        there = distance.copy()
+        self._inherit(new & touches, pressed, (gap, shear, there))
+        gap -= np.maximum(distance - there, 0.0)
+        gap[~on], shear[~on | (gap < 0.0)] = 0.0, 0.0
         known[:] = on
 
     def _inherit(
@@ -215,11 +218,11 @@ class Wall:
         old: npt.NDArray[np.bool_],
         fields: tuple[npt.NDArray[np.float64], ...],
     ) -> None:
-        """Copy fields from near markers with the body to markers that the body reaches. Collective.
+        """Copy fields from near markers under pressure to those that the body reaches. Collective.
 
         Args:
-            new: Whether the body reaches each marker in this step, shape (markers,).
-            old: Whether the body was at each marker in the last step, shape (markers,).
+            new: Whether the body comes to touch each marker in this step, shape (markers,).
+            old: Whether the body pressed on each marker in the last step, shape (markers,).
             fields: Fields of the markers; changed.
         """
         markers, comm = self.boundary.markers, self.boundary.points.comm

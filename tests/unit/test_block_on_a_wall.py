@@ -41,3 +41,59 @@ def test_it_stands_below_the_angle_of_friction(low, basis):
 def test_it_slides_above_the_angle_of_friction():
     with pytest.raises(mpm.errors.ConvergenceError):
         tilted(np.degrees(np.arctan(FRICTION)) + 0.5)[0].step()
+
+
+def test_a_disc_rolls_down_a_wall():
+    """Markers that a body comes near had taken the gap of markers that it touches already."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [0.1 * np.arange(-6, 14), 0.1 * np.arange(-2, 10)])
+    points = mpm.fill(grid, mpm.Disc((0, 0.4), 0.4), 2, 1000.0, exact=True)
+    V, law = mpm.Space(grid, "gimp"), mpm.materials.Hencky(1e6, 0.3)
+    u, v = V.increment, V.test
+    gravity = 9.81 * np.array([np.sin(np.pi / 9), -np.cos(np.pi / 9)])
+    F = mpm.momentum(law, points, u, v)
+    F -= ufl.inner(points.density * ufl.as_vector(gravity.tolist()), v) * points.dX
+    wall = mpm.Boundary.from_polygon(points, [(-0.6, 0), (1.3, 0)], closed=False, follows=False)
+    F += mpm.signorini(wall, u, v, law=law, friction=0.6)
+    problem = mpm.Newmark(F, u, points, stabilisation="ghost")
+    start = points["x"][:, 0] @ points["V0"]
+    for t in mpm.times(0.8, dt=0.02):
+        problem.step(t)
+    way = (points["x"][:, 0] @ points["V0"] - start) / points["V0"].sum()
+    # a disc of squares of an eighth of its radius; it had come to 0.8 of this way
+    assert way == pytest.approx(0.5 * 2 / 3 * gravity[0] * 0.8**2, rel=0.05)
+
+
+def test_a_thin_point_at_the_edge_does_not_hide_the_point_beside_it():
+    """A block of 9 domains and a thin one stands on its outermost marker, too."""
+    grid = mpm.create_lattice(
+        MPI.COMM_WORLD, [np.linspace(-0.2, 0.8, 11), np.linspace(-0.2, 0.6, 9)]
+    )
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.452, 0.4)), 2, 1000.0, exact=True)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(STONE, points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -9.81)), V.test) * points.dX
+    wall = mpm.Boundary.from_polygon(points, [(0, 0), (0.452, 0)], closed=False, follows=False)
+    F += mpm.signorini(wall, V.increment, V.test, law=STONE, friction=FRICTION)
+    mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost").step()
+    assert (wall.markers["wall1_on"] > 0).all()
+
+
+def test_a_disc_slides_down_a_smooth_wall_and_makes_no_energy():
+    """Markers had let go beside thin points, and begun again with their neighbours' pressure."""
+    cos, sin = np.cos(np.radians(35)), np.sin(np.radians(35))
+    along, normal = np.array([cos, -sin]), np.array([sin, cos])
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [0.1 * np.arange(-6, 13), 0.1 * np.arange(-9, 10)])
+    points = mpm.fill(grid, mpm.Disc(0.4 * normal, 0.4), 2, 1000.0, exact=True)
+    V, law = mpm.Space(grid, "gimp"), mpm.materials.Hencky(1e6, 0.3)
+    F = mpm.momentum(law, points, V.increment, V.test)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -9.81)), V.test) * points.dX
+    ends = [-0.6 * along, along]
+    wall = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False)
+    F += mpm.signorini(wall, V.increment, V.test, law=law)
+    problem = mpm.Explicit(F, V.increment, points)
+    points["velocity"][:] = 2.0 * along
+    for t in mpm.times(0.2, dt=0.01):
+        problem.step(t)
+    energies = problem.energies()
+    # it had made 0.9 % of the energy
+    assert abs(energies["integrator"]) < 0.004 * (energies.initial + energies.external)
