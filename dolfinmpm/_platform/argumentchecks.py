@@ -67,16 +67,19 @@ def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
         raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")
 
 
-def check_function(what: str, value: Any, kind: str = "") -> None:
-    """Raise ParameterError unless a value is a function.
+def check_function(what: str, value: Any, kind: str = "", *arguments: Any) -> None:
+    """Raise ParameterError unless a value is a function, and takes arguments if these are given.
 
     Args:
         what: Name of the argument.
         value: The argument.
         kind: Arguments and result of the function, as text for the message.
+        arguments: Arguments with which it will be called.
     """
     if not callable(value):
         raise ParameterError(f"{what} = {shown(value)} must be a function{kind and f' {kind}'}")
+    if arguments:
+        check_takes(what, value, *arguments)
 
 
 def at_time(what: str, given: Any, t: float) -> Any:

@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import (
-    check_function,
-    check_takes,
-    coordinates,
-    number,
-    shown,
-    whole,
-)  # fmt: skip
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 from dolfinmpm.study.derivatives import sizes_of
 from dolfinmpm.study.scenerun import Scene
@@ -188,8 +181,7 @@ def calibrate(
     number("tolerance", tolerance, 1e-14, 0.1)
     whole("max_runs", max_runs, 1)
     if progress is not None:
-        check_function("progress", progress, "of a row of the trace")
-        check_takes("progress", progress, {})
+        check_function("progress", progress, "of a row of the trace", {})
     data, scaled = _measurements(measured, {} if weights is None else weights)
     settings = {"bounds": bounds, "confidence": confidence, "tolerance": tolerance,
                 "max_runs": max_runs}  # fmt: skip
