@@ -15,7 +15,7 @@
 # With `--refine`, cells of the size h follow the tip alone. Points split and merge with them, and
 # keep the mean volumes of F-bar. The ghost factor and the penalty are smaller. The resistance is
 # 4.8, 4.4 and 5.1 % too large after 8 R with R/4, R/8 and R/16, and still grows. With `--basis
-# bspline2` it is 3.0 and 3.6 % too large with R/4 and R/8.
+# bspline2` it is 2.4 and 3.3 % too large with R/4 and R/8.
 #
 # The cone is in the ground from the start, with its tip at the depth `--start`. Gaps of half a
 # point close in the first steps. Domains of points change with their volume and keep their axes.
