@@ -111,9 +111,9 @@ def ring_slopes(line, uniform, degree, first, count, x, half, dS, part, slope):
         share, middle = 0.5 * (b - a) / (right - left) / mean, 0.5 * (a + b)
         if degree == 1:
             # the slope is the same in a whole cell
-            part_of = 2.0 * share * middle / (line[first + c + 1] - line[first + c])
-            dS[c] -= part_of
-            dS[c + 1] += part_of
+            rise = 2.0 * share * middle / (line[first + c + 1] - line[first + c])
+            dS[c] -= rise
+            dS[c + 1] += rise
             continue
         reach = 0.5 * (b - a) / math.sqrt(3.0)
         for side in range(2):

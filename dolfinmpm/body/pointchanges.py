@@ -104,7 +104,7 @@ def add(points: MaterialPoints, other: MaterialPoints) -> PointChange:
     return change
 
 
-def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
+def remove(points: MaterialPoints, where: Any, tag: Any) -> PointChange:
     """Take points away; see `MaterialPoints.remove`. Collective."""
     going = call_together(points.comm, lambda: _chosen(points, where, tag))
     if tag is not None:
@@ -155,7 +155,7 @@ def _changed(points: MaterialPoints) -> None:
     points.recount()
 
 
-def _chosen(points: MaterialPoints, where: Any, tag: int | None) -> npt.NDArray[np.bool_]:
+def _chosen(points: MaterialPoints, where: Any, tag: Any) -> npt.NDArray[np.bool_]:
     if (where is None) == (tag is None):
         raise ParameterError("remove takes either `where` or `tag`, and one of them")
     n = len(points)

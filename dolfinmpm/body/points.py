@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from weakref import WeakSet
@@ -346,7 +346,7 @@ class MaterialPoints(PointTable):
         self,
         where: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | npt.ArrayLike | None = None,
         *,
-        tag: int | None = None,
+        tag: int | Sequence[int] | None = None,
     ) -> PointChange:
         """Remove points, between steps. Collective.
 
@@ -355,7 +355,7 @@ class MaterialPoints(PointTable):
         Args:
             where: Points to remove: a function of present positions (m), shape (gdim, n), that
                 returns n booleans; or n booleans for the points of this rank.
-            tag: Tag of the points to remove, instead of `where`.
+            tag: Tag of the points to remove, or several tags, instead of `where`.
 
         Returns:
             Number and mass of the removed points, over all ranks.

@@ -154,17 +154,22 @@ def penalty_of(form: ufl.Form, increment: Any) -> Any:
 
 
 def unit_of(form: ufl.Form, increment: Any) -> fem.Constant | None:
-    """Unit of an equation from the metadata `UNIT`, or None if it has none.
+    """Unit of an equation, or None if it has none.
 
     Args:
         form: Weak form.
         increment: Increment of the equation's field.
     """
+    return next(iter(_units(form).get(increment, [])), None)
+
+
+def _units(form: ufl.Form) -> dict[Any, list[fem.Constant]]:
+    """Units of equations from the metadata `UNIT`, by increment."""
+    units: dict[Any, list[fem.Constant]] = {}
     for integral in form.integrals():
-        unit = ((integral.metadata() or {}).get(UNIT) or {}).get(increment)
-        if unit is not None:
-            return unit
-    return None
+        for increment, unit in ((integral.metadata() or {}).get(UNIT) or {}).items():
+            units.setdefault(increment, []).append(unit)
+    return units
 
 
 def share_units(form: ufl.Form) -> None:
@@ -175,11 +180,7 @@ def share_units(form: ufl.Form) -> None:
     Args:
         form: Weak form, whose metadata `UNIT` are constants by increment.
     """
-    units: dict[Any, list[fem.Constant]] = {}
-    for integral in form.integrals():
-        for increment, unit in ((integral.metadata() or {}).get(UNIT) or {}).items():
-            units.setdefault(increment, []).append(unit)
-    for constants in units.values():
+    for constants in _units(form).values():
         largest = max(float(unit.value) for unit in constants)
         for unit in constants:
             unit.value = largest
