@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,11 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.errors import SingularMassWarning, warn
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.boundarywork import boundary_forces, forces_without_contact, has_walls
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
@@ -41,6 +43,11 @@ from dolfinmpm.solve.weakform import WeakForm
 __all__ = ["GridMotion"]
 
 Array = npt.NDArray[np.float64]
+_SINGULAR = (
+    "the consistent mass is singular: a body has fewer points than free nodes. From the next step "
+    "on it has a ghost penalty, which takes some energy; give a ghost_mass above 0, such as 0.25, "
+    'from the start, or mass="lumped", or more points per cell'
+)
 
 
 class GridMotion:
@@ -120,6 +127,9 @@ class GridMotion:
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
             for k in here.movers
         ]
+        if self.rule.by_forces and any(one.mass.singular for one in self.nodes):
+            self._penalise()
+            warn(form.points.comm, _SINGULAR, SingularMassWarning)
         if here.blocks_of("changes"):
             moving = [(one.k, one.mass, one.V) for one in self.nodes]
             share = self._ghost_share * (1 - self.rule.alpha_f)
@@ -151,20 +161,35 @@ class GridMotion:
         given = momenta.arrays[0].copy()
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, rates, fastest).arrays[0]
+        if start is None:
+            return MovingNodes(k, field.space.tags, mass, given, V, self._mapped(mass, field))
         forces = mass.nodal()
-        if start is not None:
-            forces.arrays[0][:] = -start
-            faces = self._sides.on(field.basis)
-            if faces is not None and faces.dashpots is not None:
-                forces.arrays[0][:] -= faces.dashpots * V
-                if faces.incoming:
-                    forces.arrays[0][:] += faces.wave_forces(self._step.start)
-        else:
-            m = point_masses(points)
-            scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
-            forces.add_up()
-        A = mass.solve(forces, np.zeros_like(V)).arrays[0]
+        forces.arrays[0][:] = -start
+        faces = self._sides.on(field.basis)
+        if faces is not None and faces.dashpots is not None:
+            forces.arrays[0][:] -= faces.dashpots * V
+            if faces.incoming:
+                forces.arrays[0][:] += faces.wave_forces(self._step.start)
+        A: Array = mass.solve(forces, np.zeros_like(V)).arrays[0]
+        if mass.singular and self.rule.by_forces:
+            # forces along vectors without mass accelerate nothing, and steps from them make energy
+            if self._starting:
+                A = np.where(here.unknowns.fields[k].fixed, 0.0, mass.own_velocities(forces))
+            else:
+                A = self._mapped(mass, field)
         return MovingNodes(k, field.space.tags, mass, given, V, A)
+
+    def _penalise(self) -> None:
+        """Give a singular mass its ghost penalty from the next step on. Collective."""
+        self.rule = replace(self.rule, by_forces=False)
+        self.terms.penalise()
+
+    def _mapped(self, mass: Mass, field: ActiveField) -> Array:
+        """Accelerations of nodes (m/s²) from those of points, shape (nodes, d). Collective."""
+        points, forces = self._points, mass.nodal()
+        scatter(field.stencils, point_masses(points), points["acceleration"], forces.arrays[0])
+        forces.add_up()
+        return mass.solve(forces, np.zeros_like(forces.arrays[0])).arrays[0]
 
     def dashpots(self, here: Activation) -> Dashpots | None:
         """Dashpots of absorbing faces at the level of balance, or None. Collective."""
@@ -314,6 +339,7 @@ class GridMotion:
         """Its state from step to step."""
         return {
             "starting": int(self._starting),
+            "by_forces": int(self.rule.by_forces),
             "reserve": sorted(self.penalty_energy.energy.items()),
             "gained": self._gain.made,
         }
@@ -321,6 +347,8 @@ class GridMotion:
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a state returned by `state`."""
         self._starting = bool(state["starting"])
+        if self.rule.by_forces and not state["by_forces"]:
+            self._penalise()
         self.penalty_energy.energy.clear()
         self.penalty_energy.energy.update({int(k): energy for k, energy in state["reserve"]})
         self._gain.made = state["gained"]

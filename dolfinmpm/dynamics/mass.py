@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -10,11 +10,10 @@ import ufl
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import number
-from dolfinmpm._platform.errors import (
-    ParameterError,
-)
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.assembly.term import Term
+from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
@@ -46,14 +45,26 @@ class MassTerms(Term):
             constrained mass could be small or negative.) With the functions N of all active
             nodes and the points' masses m, N C (Cᵀ M_L C)⁻¹ Cᵀ Nᵀ m has no eigenvalue above 1, and
             keeps rigid velocities. So the mapping to the nodes and back gives points no energy.
-        ghost: Ghost penalty of the mass, γ_M J, or None.
-        factorised: Whether the mass is factorised, in problems that also factorise tangents.
+        spaces: Spaces of the problem's fields; needed for a ghost penalty.
+        direct: Whether the problem factorises tangents. Splines need a ghost penalty that slows
+            down diagonally preconditioned iterations to hundreds. Then the mass is factorised too.
+
+    Attributes:
+        points, kind: The arguments.
+        ghost: Ghost penalty of the mass, γ_M J, or None; see `penalise`.
+        factorised: Whether the mass is factorised.
     """
 
     def __init__(
-        self, points: MaterialPoints, kind: str, ghost: WeakForm | None, factorised: bool = False
+        self,
+        points: MaterialPoints,
+        kind: str,
+        spaces: Sequence[Space] = (),
+        direct: bool = False,
     ):
-        self.points, self.kind, self.ghost, self.factorised = points, kind, ghost, factorised
+        self.points, self.kind, self._spaces, self._direct = points, kind, spaces, direct
+        self.ghost: WeakForm | None = None
+        self.factorised = False
         self._matrix: Matrix | None = None
         #: Whether a warning about a nearly singular mass has been given.
         self.warned = False
@@ -65,6 +76,21 @@ class MassTerms(Term):
     def moving(self) -> set[int]:
         """See `Term`."""
         return set() if self.ghost is None else self.ghost.moving
+
+    def penalise(self, factors: Mapping[Space, float] | None = None) -> None:
+        """Give the mass a ghost penalty, γ_M J. Collective.
+
+        Args:
+            factors: γ_M of each space that moves points, in units of the largest density; those
+                of Coombs (2023) by default.
+        """
+        if factors is None:
+            own = [self._spaces[k] for k in movers(self._spaces)]
+            factors = {space: _penalty_factor(space) for space in own}
+        J = [_ghost_mass(space, self.points, factor) for space, factor in factors.items() if factor]
+        if J:
+            self.ghost = WeakForm(sum(J[1:], start=J[0]), self._spaces, self.points)
+            self.factorised = self._direct and any(space.basis.degree > 1 for space in factors)
 
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
         """See `Term`: the mass between the independent nodes of C. Collective."""
@@ -106,7 +132,7 @@ def mass_terms(
     fields: Sequence[Field],
     mass: str,
     ghost_mass: float | None,
-    factorised: bool = False,
+    direct: bool = False,
 ) -> MassTerms:
     """The terms of the mass of a problem. Collective.
 
@@ -115,8 +141,7 @@ def mass_terms(
         fields: The problem's fields.
         mass: "consistent" or "lumped".
         ghost_mass: γ_M in units of the largest density, see `Newmark`; None for the default.
-        factorised: Whether steps factorise tangents anyway. Splines need a penalty that slows down
-            diagonally preconditioned iterations to hundreds. Then the mass is factorised.
+        direct: See `MassTerms`.
 
     Raises:
         ParameterError: A ghost penalty is given with a lumped mass, or is negative.
@@ -129,28 +154,29 @@ def mass_terms(
                 f"ghost_mass = {ghost_mass} is of a consistent mass, and lumping takes away what a "
                 'ghost penalty adds; give mass="consistent"'
             )
-        return MassTerms(points, mass, None)
+        return MassTerms(points, mass)
     if ghost_mass is not None:
         number("ghost_mass", ghost_mass, 0.0, closed=True)
-    terms = [_ghost_mass(field, points, ghost_mass) for field in moving]
-    J = [term for term in terms if term is not None]
-    if not J:
-        return MassTerms(points, mass, None)
-    factorised = factorised and any(field.space.basis.degree > 1 for field in moving)
-    whole = sum(J[1:], start=J[0])
-    return MassTerms(points, mass, WeakForm(whole, form.spaces, points), factorised)
+    terms = MassTerms(points, mass, form.spaces, direct)
+    terms.penalise({f.space: _default(f) if ghost_mass is None else ghost_mass for f in moving})
+    return terms
 
 
-def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> ufl.Form | None:
-    """The ghost penalty of a field's mass, or None. Collective."""
-    space = field.space
-    if factor is None:
-        tied = field.constrains_nodes and field.stabilisation.kind != "weak-aggregation"
-        # cells beside tied sides look like cut cells, and are whole ones
-        tied = tied or hasattr(field.prolongate, "of_basis")
-        factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
-    if factor == 0:
-        return None
+def _default(field: Field) -> float:
+    """The factor of the ghost penalty of a field's mass, see `Newmark`."""
+    tied = field.constrains_nodes and field.stabilisation.kind != "weak-aggregation"
+    # cells beside tied sides look like cut cells, and are whole ones
+    tied = tied or hasattr(field.prolongate, "of_basis")
+    return 0.0 if tied else _penalty_factor(field.space)
+
+
+def _penalty_factor(space: Space) -> float:
+    """Coombs' (2023) factor of the ghost penalty of the mass on a space's functions."""
+    return 0.25 * GHOST_FACTORS[space.basis.degree]
+
+
+def _ghost_mass(space: Space, points: MaterialPoints, factor: float) -> ufl.Form:
+    """The ghost penalty of the mass on a space. Collective."""
     own = points["density"][rows_within(points, space.tags)]
     density = points.comm.allreduce(own.max(initial=0.0), op=MPI.MAX)
     return ghost(points, space.increment, space.test, factor * density, scaling="literal")

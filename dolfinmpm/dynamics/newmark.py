@@ -104,7 +104,7 @@ class TimeStepping(MovingBody, QuasiStatic):
         if self.form.has_rates:
             # forces at the start of a step have no increments, and so no rates
             scheme.rule = rule = replace(rule, by_forces=False)
-        terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
+        terms = mass_terms(self.form, self.fields, mass, ghost_mass, direct=True)
         refuse_constraints(faces, self.fields)
         if faces:
             refuse_field_tags(self.fields, "a face of the grid", "hold the sides with conditions")
@@ -164,7 +164,8 @@ class Newmark(TimeStepping):
             the stabilisation. The ghost penalty of `stabilisation="ghost"` then acts on the
             step's change of velocity, u − Δt v, not on u. It gives back no more energy than it
             has taken (`dolfinmpm.dynamics.energybounds`). So neither takes energy from the body.
-            A penalty of the mass takes energy in every step, and more with smaller steps.
+            A penalty of the mass takes energy in every step, and more with smaller steps. It acts
+            from the next step on, with a `SingularMassWarning`, if the mass is found singular.
             With a `prolongation`, with contact and with weak aggregation the default is 1/4; on
             quadratic and cubic splines it is 100 and 10⁴ times 1/4. With 0, nodes with small
             shares of points make the mass singular.

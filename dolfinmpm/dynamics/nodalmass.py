@@ -24,6 +24,7 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.unknowns import FieldUnknowns, Nodal, Unknowns
 from dolfinmpm.dynamics.mass import MassTerms, point_masses
+from dolfinmpm.dynamics.singularmass import solution_without_null_vectors
 from dolfinmpm.dynamics.transfer import scatter
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.solve.method import Tangent, crossover
@@ -37,6 +38,9 @@ Array = npt.NDArray[np.float64]
 _TOLERANCE, _MOST = 1e-14, 2000
 # Limit of velocities of nodes by those of points: noise gives up to 100 on cubic splines, else 10
 _PROPORTION = 1e3
+# Limit of f · M⁻¹ f over f · D⁻¹ f with the diagonal D: sound masses give up to 50, and mostly less
+# than 20; bodies with fewer points than free nodes give 500 to 20 000
+_GAIN = 200.0
 
 
 class Mass:
@@ -52,12 +56,14 @@ class Mass:
         mass_scaling: The argument.
         lumped: Row sums of the mass (kg), shape (nodes,), on all ranks that know the nodes.
         iterations: CG iterations of the last solution.
+        singular: Whether a solution met vectors with next to no mass.
     """
 
     @stages.assemble
     def __init__(self, terms: MassTerms, here: Activation, mass_scaling: float = 1.0, k: int = 0):
         self._terms, self._here, self._k = terms, here, k
         self._field, self.mass_scaling = here.fields[k], mass_scaling
+        self.singular = False
         self.blocks = here.blocks_of("mass", k)
         if mass_scaling != 1.0:
             self.blocks = [replace(b, values=mass_scaling * b.values) for b in self.blocks]
@@ -183,7 +189,7 @@ class Mass:
         """Momenta of the points over the row sums of the mass (m/s), shape (nodes, d). Collective.
 
         Args:
-            momenta: Momenta (kg m/s), summed at the nodes' owners.
+            momenta: Momenta (kg m/s), or forces (N) for accelerations, summed at the nodes' owners.
         """
         found = self.nodal()
         found.arrays[0][:] = (
@@ -256,14 +262,19 @@ class Mass:
             x.set(0.0)
         ksp.solve(b, x)
         self.iterations = ksp.getIterationNumber()
-        error = None
-        if ksp.getConvergedReason() <= 0:
+        if ksp.getConvergedReason() > 0:
+            self.singular |= _gain(matrix, b, x) > _GAIN
+            return np.array(x.getArray(readonly=True))
+        self.singular, error = True, None
+        found = solution_without_null_vectors(matrix, b)
+        if found is None:
             error = ConvergenceError(
                 f"the consistent mass is singular to rounding: CG ends after {self.iterations} "
                 f"iterations; give {self._advice()}"
             )
         raise_together(unknowns.comm, error)
-        return np.array(x.getArray(readonly=True))
+        assert found is not None
+        return found
 
     def assembled(self) -> Matrix:
         """The mass as a matrix of the field's unknowns. Collective."""
@@ -295,3 +306,11 @@ class Mass:
         ksp.setInitialGuessNonzero(True)
         ksp.setOperators(matrix.petsc)
         return ksp
+
+
+def _gain(matrix: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> float:
+    """b · x over b · D⁻¹ b, of the solution x of M x = b. Collective."""
+    scaled = b.duplicate()
+    scaled.pointwiseDivide(b, matrix.getDiagonal())
+    own = b.dot(scaled)
+    return float(b.dot(x) / own) if own > 0.0 else 0.0

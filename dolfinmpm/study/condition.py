@@ -123,5 +123,5 @@ def conditioning(
 
 def _lumped(points: MaterialPoints, here: Activation) -> Matrix:
     """Lumped mass matrix of explicit steps. Collective."""
-    terms = MassTerms(points, "lumped", None)
+    terms = MassTerms(points, "lumped")
     return Mass(terms, replace(here, blocks=terms.blocks(here.fields))).assembled()

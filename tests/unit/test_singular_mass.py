@@ -1,0 +1,97 @@
+"""Bodies with fewer points than nodes, whose consistent mass is singular to rounding."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import SingularMassWarning
+from dolfinmpm.dynamics.singularmass import solution_without_null_vectors
+
+H = 0.1
+
+
+def thin_body(angle):
+    """24 points of a turned box, narrower than two cells, on cubic splines."""
+    grid = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(0.0, 0.0), (2.0, 1.5)], [20, 15], mesh.CellType.quadrilateral
+    )
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    corners = np.array([[-0.2, -0.07], [0.2, -0.07], [0.2, 0.07], [-0.2, 0.07]]) @ turn.T
+    shape = mpm.Polygon(np.add(corners, [1.02, 0.77]))
+    points = mpm.fill(grid, shape, 2, 1000.0)
+    points.add_field("velocity", (2,), "m/s")
+    return grid, points
+
+
+def flight(angle):
+    """A problem of the body, which flies and turns, is stretched and let go."""
+    grid, points = thin_body(angle)
+    V = mpm.Space(grid, "bspline3")
+    law = mpm.materials.NeoHookean(E=4e5, nu=0.2)
+    form = mpm.momentum(law, points, V.increment, V.test)
+    x = points["x"] - points["x"].mean(axis=0)
+    points["velocity"] = [0.5, 0.1] + 2.0 * np.column_stack([-x[:, 1] + x[:, 0], x[:, 0]])
+    return mpm.Newmark(form, V.increment, points, stabilisation="ghost")
+
+
+def run(problem, first, last):
+    for k in range(first, last + 1):
+        problem.step(2e-3 * k)
+        e = problem.energies()
+        yield (e.kinetic + e.strain) / max(e.initial, 1e-300)
+
+
+@pytest.mark.parametrize("angle", [0.3, 1.0])
+def test_a_body_with_fewer_points_than_nodes_keeps_energy_and_momentum(angle, tmp_path):
+    problem = flight(angle)
+    points = problem.points
+    mass = points["density"] * points["V0"]
+    momentum = mass @ points["velocity"]
+    with pytest.warns(SingularMassWarning, match="fewer points than free nodes"):
+        energies = list(run(problem, 1, 10))
+    problem.save(tmp_path / "ten.npz")
+    energies += run(problem, 11, 40)
+    assert energies[-1] > 0.995
+    assert max(energies) < 1.0001
+    np.testing.assert_allclose(mass @ points["velocity"], momentum, rtol=1e-6)
+    again = flight(angle)
+    again.load(tmp_path / "ten.npz")
+    assert list(run(again, 11, 40)) == energies[10:]
+
+
+def test_a_body_with_fewer_points_than_nodes_falls_freely():
+    grid, points = thin_body(0.3)
+    V = mpm.Space(grid, "bspline3")
+    gravity = fem.Constant(grid, (0.0, -10.0))
+    law = mpm.materials.NeoHookean(E=4e5, nu=0.2)
+    form = mpm.momentum(law, points, V.increment, V.test)
+    form -= ufl.inner(points.density * gravity, V.test) * points.dX
+    problem = mpm.Newmark(form, V.increment, points, stabilisation="ghost")
+    start = points["x"].copy()
+    with pytest.warns(SingularMassWarning):
+        list(run(problem, 1, 10))
+    fall = np.broadcast_to([0.0, -0.5 * 10.0 * 0.02**2], start.shape)
+    np.testing.assert_allclose(points["x"] - start, fall, rtol=1e-9, atol=1e-11)
+
+
+def test_solutions_have_no_parts_along_null_vectors():
+    rng = np.random.default_rng(3)
+    root = rng.random((12, 20))
+    dense = root.T @ root
+    M = PETSc.Mat().createDense((20, 20), array=dense, comm=MPI.COMM_SELF)
+    M.convert("aij")
+    f = M.createVecRight()
+    f.setArray(dense @ rng.random(20))
+    null = np.linalg.eigh(dense)[1][:, :8]
+    found = solution_without_null_vectors(M, f)
+    np.testing.assert_allclose(dense @ found, f.getArray(), rtol=1e-8)
+    # a force on a null vector changes next to nothing; beside it stands the diagonal of the mass
+    g, push = f.copy(), np.diag(dense) * null[:, 0]
+    g.setArray(f.getArray() + 0.1 * np.linalg.norm(f.getArray()) * push / np.linalg.norm(push))
+    other = solution_without_null_vectors(M, g)
+    assert np.linalg.norm(root @ (other - found)) < 1e-3 * np.linalg.norm(root @ found)
+    assert np.linalg.norm(other) < 10 * np.linalg.norm(found)
