@@ -96,6 +96,8 @@ class Surface(Uncopied):
     (4.0, [0.0, -0.0147])
     """
 
+    within: Array | None = None
+
     @collective
     def __init__(
         self,
@@ -214,6 +216,16 @@ class Surface(Uncopied):
         return np.linalg.norm(self.points[self.area.name], axis=1)
 
     # -- UFL ------------------------------------------------------------------
+
+    def cut(self, within: Array) -> Surface:
+        """The same faces, of which only the parts in a box count.
+
+        Args:
+            within: Lower and upper corner of the box (m), shape (2, gdim).
+        """
+        one = type(self).__new__(type(self))
+        one.__dict__ |= self.__dict__ | {"within": within}
+        return one
 
     @property
     def dX(self) -> ufl.Measure:
