@@ -63,8 +63,8 @@ class Solver(Protocol):
 _SPARE = 0.3
 # Increments below this share of the grid's size do not change positions
 _RESOLVED = 4 * np.finfo(float).eps
-# Changes up to so many times larger end iterations that stall: where soil hardly changes its volume,
-# rounded strains make forces that move nodes by more
+# Changes up to so many times larger end iterations that stall: in soil that hardly changes its
+# volume, rounded strains make forces that move nodes by more
 _STALLED = 256.0
 
 
