@@ -238,14 +238,20 @@ def _edges(surface: Surface) -> Array:
     """
     points, comm, normal = surface.points, surface.points.comm, np.abs(surface.normal)
     x, half, chosen = points["x"], points["l"], surface._sizes() > 0
-    low = comm.allreduce((x - half)[chosen].min(axis=0, initial=np.inf), op=MPI.MIN)
-    high = comm.allreduce((x + half)[chosen].max(axis=0, initial=-np.inf), op=MPI.MAX)
+    ends = np.array(
+        [
+            (x - half)[chosen].min(axis=0, initial=np.inf),
+            -(x + half)[chosen].max(axis=0, initial=-np.inf),
+        ]
+    )
+    comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MIN)
+    low, high = ends[0], -ends[1]
     level = ((x > low) & (x < high) | (normal == 0)).all(axis=1)[:, None]
     # points that touch the edge, to rounding
     below, above = (x < low) & (x + 1.1 * half > low), (x > high) & (x - 1.1 * half < high)
     goes_on = np.array([(side & level).any(axis=0) for side in (below, above)])
-    goes_on = comm.allreduce(goes_on, op=MPI.LOR) & (normal == 0)
-    return np.where(goes_on, [low, high], [[-np.inf], [np.inf]])
+    comm.Allreduce(MPI.IN_PLACE, goes_on, op=MPI.LOR)
+    return np.where(goes_on & (normal == 0), [low, high], [[-np.inf], [np.inf]])
 
 
 def _have_left(faces: Surface) -> list[Expr]:
