@@ -73,6 +73,7 @@ class Surface(Uncopied):
         normal: Outward normal, shape (gdim,), or None for a surface from arrays.
         total_area: Initial area on all ranks (m^(d-1)).
         offset, area: The fields, for UFL.
+        within: Box of the footing that holds the faces (m), shape (2, gdim), or None.
 
     Raises:
         ParameterError: An argument is not valid, the name is taken, or the normal is no unit axis;
@@ -217,7 +218,7 @@ class Surface(Uncopied):
 
     # -- UFL ------------------------------------------------------------------
 
-    def cut(self, within: Array) -> Surface:
+    def _cut(self, within: Array) -> Surface:
         """The same faces, of which only the parts in a box count.
 
         Args:

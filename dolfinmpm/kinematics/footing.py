@@ -141,7 +141,7 @@ class RigidFooting(ReadOnce):
         points.add_field(motion, (points.gdim,), "m")
         self._motion = FaceMotion(points, motion, (points.gdim,), "m")
         edges = _edges(surface)
-        self._faces = surface.cut(edges) if np.isfinite(edges).any() else surface
+        self._faces = surface._cut(edges) if np.isfinite(edges).any() else surface
         self._motion.surface = self._faces
         self._in_contact = False
 
