@@ -31,8 +31,8 @@
 # - Means of F-bar over cells do not see splines that alternate from cell to cell: Cam-Clay
 #   settles by 4 to 6 % too much. Quadratic splines take means over linear functions instead: the
 #   error is 0.4 %. GIMP with F-bar has 0.689 and 0.630 m.
-# - Prandtl's limit is overestimated by 1.8 % with F-bar and cells of 0.05 m at the edge. Without
-#   F-bar it is 5.8 %, and the load still rises. With cells of 0.1 m the errors are 2.3 and 8.7 %.
+# - Prandtl's limit is overestimated by 1.4 % with F-bar and cells of 0.05 m at the edge. Without
+#   F-bar it is 5.6 %, and the load still rises. With cells of 0.1 m the errors are 2.2 and 8.7 %.
 #   (E/c is 10⁴ there, so that the clay flows before its shape changes.)
 # - Cells of 0.5 m that are halved to 1/64 m at the edge (`--refine 0.015625 --growth 0.2 --h 0.5
 #   --coarsest 0.5 --modulus 1e9 --steps 20`) overestimate it by 0.44 % with 1856 unknowns. Equal

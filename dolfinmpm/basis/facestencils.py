@@ -27,7 +27,11 @@ _ROUNDING = 1e-12
 
 
 def at_faces(
-    basis: LatticeBasis | LeafBasis | LinearBasis, s: Stencils, where: Placement, reach: Array
+    basis: LatticeBasis | LeafBasis | LinearBasis,
+    s: Stencils,
+    where: Placement,
+    reach: Array,
+    within: Array | None = None,
 ) -> Stencils:
     """Stencils of some points with the values of the functions at their faces.
 
@@ -40,6 +44,8 @@ def at_faces(
         s: Stencils of points with faces, on all active nodes.
         where: All points.
         reach: Offsets from the centres of all points to their faces (m), shape (points, gdim).
+        within: Lower and upper corner of a box (m), shape (2, gdim), or None. Functions are those
+            at the part of a face in the box, or at the place in the box that is nearest to it.
     """
     counts = np.diff(s.groups)
     number = np.repeat(np.diff(s.node_start), counts)
@@ -56,6 +62,10 @@ def at_faces(
         to, half = np.clip(x + reach[rows], low, high), np.zeros_like(x)
     rest = np.zeros((s.order.size, x.shape[1]))
     rest[at] = x + reach[rows] - to
+    if within is not None:
+        uncut, (to, half) = to, _cut(to, half, *within)
+        # a way by gradients would reach beyond the box
+        rest[at[(to != uncut).any(axis=1)]] = 0.0
     if basis.averaged:
         faces = in_domains(basis, to, half, x, where.half[rows])
     elif isinstance(basis, LeafBasis):
@@ -98,6 +108,13 @@ def _ends(x: Array, half: Array, reach: Array) -> tuple[Array, Array]:
     to[each, axis] += step
     at[each, axis] = np.where(left > _ROUNDING * limit, left, 0.0)
     return to, at
+
+
+def _cut(at: Array, half: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Centres and half-lengths of the parts of faces in a box, or of the places nearest to them."""
+    first, last = np.clip(at - half, low, high), np.clip(at + half, low, high)
+    cut = np.any((at - half < low) | (at + half > high), axis=1)[:, None]
+    return np.where(cut, 0.5 * (first + last), at), np.where(cut, 0.5 * (last - first), half)
 
 
 def in_domains(

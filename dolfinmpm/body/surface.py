@@ -73,6 +73,7 @@ class Surface(Uncopied):
         normal: Outward normal, shape (gdim,), or None for a surface from arrays.
         total_area: Initial area on all ranks (m^(d-1)).
         offset, area: The fields, for UFL.
+        within: Box of the footing that holds the faces (m), shape (2, gdim), or None.
 
     Raises:
         ParameterError: An argument is not valid, the name is taken, or the normal is no unit axis;
@@ -95,6 +96,8 @@ class Surface(Uncopied):
     >>> top.total_area, top.mean_displacement().round(4).tolist()
     (4.0, [0.0, -0.0147])
     """
+
+    within: Array | None = None
 
     @collective
     def __init__(
@@ -214,6 +217,16 @@ class Surface(Uncopied):
         return np.linalg.norm(self.points[self.area.name], axis=1)
 
     # -- UFL ------------------------------------------------------------------
+
+    def _cut(self, within: Array) -> Surface:
+        """The same faces, of which only the parts in a box count.
+
+        Args:
+            within: Lower and upper corner of the box (m), shape (2, gdim).
+        """
+        one = type(self).__new__(type(self))
+        one.__dict__ |= self.__dict__ | {"within": within}
+        return one
 
     @property
     def dX(self) -> ufl.Measure:

@@ -194,8 +194,8 @@ class CornerLayout:
 
         Corners of a marked face share its initial area, other corners those of their domain's
         initial faces, or of the rigid surface if gaps are given. In axisymmetric problems the area
-        is that all around, at the radius of the point, like the volume. Then a uniform pressure
-        balances a uniform stress.
+        is that all around. That of a face is at the radius of the point, like the volume: then a
+        uniform pressure balances a uniform stress. That of the rigid surface is at the corner.
 
         Args:
             corners: The corners.
@@ -218,7 +218,10 @@ class CornerLayout:
             ahead = 2.0 * np.abs(along) * (points["l"][rows] if self.boxes else half)
             ahead *= places_on_faces(along) if self.on_faces else 1.0
             areas = slip_areas(half, normal, _signs(points.gdim)[corners.which], ahead, gap)
-        return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
+        if not points.axisymmetric:
+            return areas
+        radius = points["x"][rows, 0] if gap is None else np.maximum(corners.x[:, 0], 0.0)
+        return ring(radius, areas)
 
     def corners(
         self, rows: Rows, kept: Callable[[Array], Which], normals: Callable[[], Array]

@@ -10,6 +10,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from ufl.algorithms import extract_coefficients
+from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, truth
 from dolfinmpm._platform.collective import collective
@@ -46,6 +47,10 @@ class RigidFooting(ReadOnce):
     the next step sees a gap that one step leaves, and errors do not add up. A rough footing holds
     the faces sideways too; a smooth one does not. Both stay in contact, and pull when they are
     lifted.
+
+    Where the body goes on beside the faces, the footing has an edge, which stays in place. Faces of
+    points that slide out from under it are held up to the edge, and not at all once their points
+    have left. The edges are those of the box around all faces.
 
     The points get the field `<surface>_motion` (m), the motion d. It is a sum of increments. The
     difference of two places would have too few digits for a gap of some 1e-7 m. The name ends with
@@ -135,7 +140,9 @@ class RigidFooting(ReadOnce):
         motion = next(name for name in names if name not in points.fields)
         points.add_field(motion, (points.gdim,), "m")
         self._motion = FaceMotion(points, motion, (points.gdim,), "m")
-        self._motion.surface = surface
+        edges = _edges(surface)
+        self._faces = surface._cut(edges) if np.isfinite(edges).any() else surface
+        self._motion.surface = self._faces
         self._in_contact = False
 
     def _instead(self, name: str) -> str:
@@ -154,16 +161,20 @@ class RigidFooting(ReadOnce):
         Raises:
             ParameterError: u is no increment, or v no test function.
         """
-        surface = self.surface
-        check_displacement(surface.points, u=u)
+        faces = self._faces
+        check_displacement(faces.points, u=u)
         self._in_contact = True
-        n = ufl.as_vector([float(c) for c in surface.normal])
-        self._motion.update = self._motion + surface.at(u)
-        gap = self._motion.update + self.settlement * n
+        n = ufl.as_vector([float(c) for c in self.surface.normal])
+        moved = self._motion + faces.at(u)
+        for left in _have_left(faces):
+            # no gap
+            moved = ufl.conditional(left, -self.settlement * n, moved)
+        self._motion.update = moved
+        gap = moved + self.settlement * n
         if not self.rough:
             gap = ufl.dot(gap, n) * n
-        name = f"the contact of a footing on '{surface.name}'"
-        return surface.term(-self._k * gap, v, name, once=True)
+        name = f"the contact of a footing on '{faces.name}'"
+        return faces.term(-self._k * gap, v, name, once=True)
 
     def gaps(self) -> Array:
         """Gaps that the penalty left in the last step (m), shape (points on this rank, gdim)."""
@@ -217,6 +228,43 @@ def refuse_footings(form: ufl.Form) -> None:
             f"the form has the contact of a RigidFooting, with the field {names[0]}: its penalty "
             "would make explicit steps very short; take mpm.RigidBody with mpm.contact, or Newmark"
         )
+
+
+def _edges(surface: Surface) -> Array:
+    """Lower and upper corner of the box around a footing (m), shape (2, gdim).
+
+    The box has an end where the body goes on beside the footing. It is infinite along the normal,
+    and where the footing covers the body.
+    """
+    points, comm, normal = surface.points, surface.points.comm, np.abs(surface.normal)
+    x, half, chosen = points["x"], points["l"], surface._sizes() > 0
+    ends = np.array(
+        [
+            (x - half)[chosen].min(axis=0, initial=np.inf),
+            -(x + half)[chosen].max(axis=0, initial=-np.inf),
+        ]
+    )
+    comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MIN)
+    low, high = ends[0], -ends[1]
+    level = ((x > low) & (x < high) | (normal == 0)).all(axis=1)[:, None]
+    # points that touch the edge, to rounding
+    below, above = (x < low) & (x + 1.1 * half > low), (x > high) & (x - 1.1 * half < high)
+    goes_on = np.array([(side & level).any(axis=0) for side in (below, above)])
+    comm.Allreduce(MPI.IN_PLACE, goes_on, op=MPI.LOR)
+    return np.where(goes_on & (normal == 0), [low, high], [[-np.inf], [np.inf]])
+
+
+def _have_left(faces: Surface) -> list[Expr]:
+    """Conditions for points whose faces have left the box of a footing, one per edge."""
+    x, within = faces.points.x, faces.within
+    if within is None:
+        return []
+    ends = [(k, side) for k in range(faces.points.gdim) for side in (0, 1)]
+    return [
+        (ufl.gt if side else ufl.lt)(x[k], own_constant(faces.points.grid, within[side, k]))
+        for k, side in ends
+        if np.isfinite(within[side, k])
+    ]
 
 
 def _largest_cell(points: MaterialPoints) -> float:

@@ -63,6 +63,9 @@ class Solver(Protocol):
 _SPARE = 0.3
 # Increments below this share of the grid's size do not change positions
 _RESOLVED = 4 * np.finfo(float).eps
+# Changes up to so many times larger end iterations that stall: in soil that hardly changes its
+# volume, rounded strains make forces that move nodes by more
+_STALLED = 256.0
 
 
 class Newton:
@@ -258,7 +261,8 @@ class Newton:
                 return reason if now.by_field is None else Reason.ITERATING
             if reason == Reason.ITERATING and resolved and iteration > 0:
                 others = by_field is None or others_balanced(operator, by_field, self.tolerance)
-                if others and _moved(operator, snes.getSolutionUpdate()) <= resolved:
+                limit = _STALLED * resolved if balance.stalls else resolved
+                if others and _moved(operator, snes.getSolutionUpdate()) <= limit:
                     balance.rounded = True
                     return Reason.CONVERGED_SNORM_RELATIVE
             stuck = balance.stalls if secants is None else secants.stuck

@@ -33,7 +33,8 @@ def face_stencils(surface: Surface, field: ActiveField, here: ActiveDomain) -> S
     if not here.total:
         reach = np.einsum("pij,pj->pi", in_section(points, points["F"]), reach)
     chosen = np.any(points[surface.area.name] != 0.0, axis=1)
-    faces = at_faces(field.basis, selected(field.full_stencils, chosen), here.where, reach)
+    s = selected(field.full_stencils, chosen)
+    faces = at_faces(field.basis, s, here.where, reach, surface.within)
     return faces if field.C is None else Prolongation(field.C).stencils(faces)
 
 

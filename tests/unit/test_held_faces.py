@@ -61,8 +61,11 @@ def test_a_footing_in_time_moves_evenly(rho):
     # forces balance within a step, and the motion is that at its end
     faces = points["x"] + np.einsum("pij,pj->pi", points["F"][:, :2, :2], R)
     under = np.any(points["top_area"], axis=1)
+    # of the last face only the part up to the edge of the footing counts
+    inner = under & (points["x0"][:, 0] < 2.5)
     motion = points["top_motion"][under]
-    np.testing.assert_allclose(motion, (faces - first)[under], rtol=0, atol=1e-14)
+    moved = (faces - first)[inner]
+    np.testing.assert_allclose(points["top_motion"][inner], moved, rtol=0, atol=1e-14)
     np.testing.assert_allclose(motion[:, 1], -0.02, rtol=0, atol=1e-5)
 
 

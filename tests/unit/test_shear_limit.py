@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import Linearised
+from dolfinx import fem
 from mpi4py import MPI
 from onesided import around_kink, check_at_kink
 
@@ -127,3 +128,27 @@ def test_explicit_steps_tell_where_the_limit_is_reached():
         problem.step(2e-3)
         assert any(len(corners) for corners in watch.sets[CORNERS])
         assert any(len(corners) for corners in watch.sets[AT_LIMIT]) == (limit < 1e3)
+
+
+@pytest.mark.parametrize("cells", [2, 4])
+def test_a_pile_that_is_drawn_out_has_the_area_of_its_shaft(cells):
+    """Its force was that on the radius of the points beside it: 12 and 6 % too large."""
+    R, L, p, h = 0.5, 1.0, 200e3, 0.5 / cells
+    lines = [np.arange(0.0, a + 0.5 * h, h) for a in (2.0, 1.5)]
+    grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
+    ring = mpm.Box((R, 0), (2.0, L))
+    points = mpm.fill(grid, ring, 2, 1800.0, axisymmetric=True)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    soil = mpm.materials.Hencky(E=20e6, nu=0.3)
+    mpm.set_stress(soil, points, -p * np.eye(3))
+    pile = mpm.RigidBody(mpm.Box((-R, -1.0), (R, L + 1.0)), increment=(0, 0.002))
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], L), (0, 1))
+    F = mpm.momentum(soil, points, u, v)
+    F += mpm.contact(pile, points, u, v, friction=1.0, shear_limit=LIMIT)
+    F += top.traction(fem.Constant(grid, (0.0, -p)), v)
+    bcs = mpm.fixed(V, "right") + mpm.rollers(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation", tolerance=1e-6)
+    for _ in range(3):
+        problem.step()
+    assert -pile.force[1] == pytest.approx(LIMIT * 2 * np.pi * R * L, rel=0.01)
