@@ -130,7 +130,7 @@ def fill(
         require_axis(grid)
     if not callable(density):
         number("density", density, 0.0, unit="kg/m^d")
-    _check_inside(grid, shape)
+    _check_inside(grid, shape, axisymmetric)
     if aligned == "body":
         lattice = require_lattice(grid, 'aligned="body"')
         x, volume, half, cell, key = _divide_box(grid, lattice, shape, per_cell)
@@ -199,7 +199,7 @@ def _check_arguments(shape: Any, per_cell: Any, aligned: Any, tag: Any) -> None:
         raise ParameterError(f"tag = {tag!r} must be a whole number of at least 0")
 
 
-def _check_inside(grid: Mesh, shape: Shape) -> None:
+def _check_inside(grid: Mesh, shape: Shape, axisymmetric: bool) -> None:
     low, high = bounds(grid)
     if shape.low is None or shape.high is None:
         return
@@ -210,9 +210,12 @@ def _check_inside(grid: Mesh, shape: Shape) -> None:
         )
     slack = 1e-9 * (high - low)
     if np.any(shape.low < low - slack) or np.any(shape.high > high + slack):
+        cut = "enlarge the grid"
+        if axisymmetric and shape.low[0] < 0.0:
+            cut = "cut the shape at the axis, as in shape & mpm.Box((0, bottom), (radius, top))"
         raise ShapeOutsideGridError(
             f"the shape reaches from {shape.low} to {shape.high} m, the grid only from {low} to "
-            f"{high} m; enlarge the grid"
+            f"{high} m; {cut}"
         )
 
 

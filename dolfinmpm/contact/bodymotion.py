@@ -298,6 +298,14 @@ class FreeMotion:
         parts = self._gravity, self._force, self._moment
         return [p.given for p in parts if isinstance(p.given, fem.Constant)]
 
+    @property
+    def loads_by_functions(self) -> bool:
+        """Whether a load is a function of time."""
+        return any(
+            callable(p.given) and not isinstance(p.given, fem.Constant)
+            for p in (self._gravity, self._force, self._moment)
+        )
+
     def external(self, t: float) -> Array:
         """Forces and moments other than contact (N, N m), shape (components,)."""
         force = self._force.value(t)

@@ -7,6 +7,7 @@ Newton's method for all equations together (Batoz & Dhatt 1979, doi 10.1002/nme.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from petsc4py import PETSc
 from dolfinmpm.solve.convergencetest import ConvergenceTest
 from dolfinmpm.solve.newton import Newton, Outcome, name_of
 from dolfinmpm.solve.operator import Operator, Residual
+from dolfinmpm.solve.secants import Secants
 
 __all__ = ["Border", "Bordered"]
 
@@ -40,6 +42,10 @@ class Border(Protocol):
     tolerance: float
     unmet: str
     sizes: Array
+
+    @property
+    def conjugate(self) -> bool:
+        """Whether the equations are forces on the unknowns y, so that g · δy is work."""
 
     @property
     def settled(self) -> bool:
@@ -94,16 +100,21 @@ class Bordered:
         if operator.here.unknowns.total == 0:
             return Outcome("no unknown is free")
         self.border.begin(operator)
+        searched, spent = False, 0
         while True:
-            outcome = Outcome()
-            self._attempt(operator, outcome)
+            outcome = Outcome(iterations=spent)
+            self._attempt(operator, outcome, searched)
+            if outcome.reason and self.border.conjugate and not (searched or linear.failed):
+                searched, spent = True, outcome.iterations
+                self.border.reset()
+                continue
             # after an error in PETSc there is no solver any more
             stuck = linear.failed or linear.stuck
             if outcome.reason is None or not stuck or not linear.relax():
                 return outcome
             self.border.reset()
 
-    def _attempt(self, operator: Operator, outcome: Outcome) -> None:
+    def _attempt(self, operator: Operator, outcome: Outcome, searched: bool) -> None:
         """One run of Newton's method from the border's guess. Collective."""
         try:
             self.newton.linear.attach(operator)
@@ -113,11 +124,13 @@ class Bordered:
                 return
             outcome.iterations += 1
             outcome.x, motion = guess
-            outcome.reason = self._correct(operator, outcome, motion)
+            outcome.reason = self._correct(operator, outcome, motion, searched)
         except PETSc.Error as error:
             outcome.reason = self.newton.linear.why(error)
 
-    def _correct(self, operator: Operator, outcome: Outcome, motion: float) -> str | None:
+    def _correct(
+        self, operator: Operator, outcome: Outcome, motion: float, searched: bool
+    ) -> str | None:
         """Iterate from the border's guess; returns the reason of a failure, or None. Collective."""
         newton, border, x = self.newton, self.border, outcome.x
         matrix = newton.linear.matrix
@@ -151,10 +164,14 @@ class Bordered:
             if not np.isfinite(sums).all() or np.linalg.matrix_rank(system) < m:
                 return "the bordered system is singular"
             change = np.linalg.solve(system, -(gap + sums[:, m]))
+            step = b + A @ change
+            if searched:
+                found = self._search(operator, x, step, change, found, gap)
+                continue
             # forces that the border's equations add are to be balanced by the step, too
             added = slopes @ change
             size = float(np.sqrt(comm.allreduce(float(added @ added), op=MPI.SUM)))
-            found = self._move(operator, x, b + A @ change, change, max(found.norm, size))
+            found = self._move(operator, x, step, change, max(found.norm, size))
 
     def _move(
         self, operator: Operator, x: Array, step: Array, change: Array, former: float
@@ -182,3 +199,35 @@ class Bordered:
             share *= 0.5
             x -= share * step
             self.border.move(-share * change)
+
+    def _search(
+        self, operator: Operator, x: Array, step: Array, change: Array, now: Residual, gap: Array
+    ) -> Residual:
+        """Take the share of a step that `Secants` finds for all equations; see `_move`. Collective.
+
+        Args:
+            operator, x, step, change: See `_move`.
+            now: The out-of-balance force before the step.
+            gap: The border's equations there, shape (m,).
+
+        Returns:
+            The out-of-balance force after the step.
+        """
+        border, comm = self.border, operator.here.unknowns.comm
+        # all ranks have the border's unknowns, and one of them adds their work
+        counts, moved = float(comm.rank == 0), np.zeros_like(change)
+
+        def joined(found: Residual, gap: Array) -> Residual:
+            return replace(found, values=np.r_[found.values, counts * border.sizes * gap])
+
+        def residual(at: Array) -> Residual:
+            x[:] = at[: x.size]
+            border.move(at[x.size :] - moved)
+            moved[:] = at[x.size :]
+            operator.update_external()
+            found = operator.residual(x)
+            return joined(found, border.gap(x)[0])
+
+        start, way = np.r_[x, moved], np.r_[step, change]
+        _, found = Secants(comm, residual).find(start, way, joined(now, gap))
+        return replace(found, values=found.values[: x.size])

@@ -40,6 +40,8 @@ FIRST = 0.125
 _UNBALANCED = 4.0
 # Rounding of positions, over the half-length of a point, that a balance of contact forces feels
 _ROUNDINGS = 4.0
+# Change of a load in the smallest substep, as a share of the load, that is a jump
+_JUMP = 0.1
 # Distance from an edge of a corner in line with it, as a share of the point's longest half-length
 _IN_LINE = 0.01
 
@@ -54,7 +56,7 @@ def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed
     """
     free = [] if problem.scheme.inertia else problem.bodies.free
     contacts = problem.bodies.acting(operator)
-    support = _missing_support(free, contacts, reason, problem.comm)
+    support = _jump_of_load(free) or _missing_support(free, contacts, reason, problem.comm)
     edges = _advice_on_edges(contacts, problem.comm)
     return Failed(reason, _worst_point(problem, operator, reason), support, edges)
 
@@ -168,6 +170,28 @@ def _failed_node(operator: Operator) -> str:
     return ""
 
 
+def _jump_of_load(bodies: Sequence[RigidBody]) -> str:
+    """Advice on a load by a function of time that jumps within the smallest substep, or "".
+
+    Args:
+        bodies: The free bodies.
+    """
+    for body in bodies:
+        assert body.freedom is not None
+        if not body.freedom.loads_by_functions:
+            continue
+        end, d = body.freedom.external(body.time + body.dt), body.gdim
+        change, free = np.abs(end + np.concatenate([body.force, body.moment])), body.freedom.free
+        for part in (free[free < d], free[free >= d]):
+            if np.any(change[part] > _JUMP * np.abs(end[part]).max(initial=0.0)):
+                return (
+                    f"the load of '{body.name}' is a function of t that jumps, and substeps take "
+                    "the whole jump at once: give the load as a dolfinx.fem.Constant, which "
+                    "substeps divide, or as a function without jumps"
+                )
+    return ""
+
+
 def _missing_support(
     bodies: Sequence[RigidBody], contacts: Sequence[ActiveRigidContact], reason: str, comm: MPI.Comm
 ) -> str:
@@ -184,7 +208,8 @@ def _missing_support(
     """
     for body in bodies:
         own = [contact for contact in contacts if contact.contact.body is body]
-        touching = any(bool(contact.now.normal.any()) for contact in own)
+        # iterations that fail may throw a body off on which it rested
+        touching = any(c.now.normal.any() or c.start.normal_force.any() for c in own)
         touches = comm.allreduce(touching, op=MPI.LOR)
         if touches and "singular" not in reason:
             continue

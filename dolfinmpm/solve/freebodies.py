@@ -67,11 +67,11 @@ class FreeBodies:
 
     Attributes:
         inertial: Accelerations by increments, or None in quasi-static steps.
-        tolerance, unmet, sizes: See `Border`.
+        conjugate, settled, tolerance, unmet, sizes: See `Border`.
     """
 
     unmet = "the forces on a free rigid body were not balanced"
-    settled = True
+    conjugate, settled = True, True
 
     def __init__(self, bodies: RigidBodies, tolerance: float):
         self.tolerance = tolerance

@@ -41,7 +41,7 @@ class PathBorder:
         travelled: Controlled displacement since the first step (m).
         speed: Root mean square displacement per load factor so far (m), or infinity before any. It
             bounds the estimate of the displacements in the first step.
-        tolerance, unmet, sizes: See `Border`.
+        conjugate, tolerance, unmet, sizes: See `Border`.
 
     Raises:
         FormError: The load factor multiplies a term of the grid with the increment, or the control
@@ -51,6 +51,8 @@ class PathBorder:
     # error of the length: it only selects the next state, and has no physical meaning
     tolerance = 1e-6
     unmet = "the length of the step was not met"
+    # the equation is a length, and the unknown a factor
+    conjugate = False
     # the length by which the equation is divided does not change in a step
     sizes = np.asarray([1.0])
 

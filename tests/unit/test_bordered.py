@@ -70,3 +70,47 @@ def test_a_body_out_of_balance_on_soil_in_balance():
         force.value[1] = -3000.0 * (k + 1)
         record = problem.step()
         assert (record.iterations, record.halvings) == (4, 0)
+
+
+@pytest.mark.parametrize(
+    ("law", "friction"),
+    [(mpm.materials.Tresca(1e7, 0.3, cohesion=20e3), 0.0), (mpm.materials.Hencky(1e7, 0.3), 0.4)],
+)
+def test_a_free_body_whose_edge_leaves_a_corner(law, friction):
+    """The corner's force is lost within a step. Full steps then went up and down without end."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(-4, 4.1, 0.25), np.arange(-2, 0.6, 0.25)])
+    points = mpm.fill(grid, mpm.Box((-4, -2), (4, 0)), 2, 1700.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    load = fem.Constant(grid, (0.0, 0.0))
+    free = (friction > 0, True, friction > 0)
+    footing = mpm.RigidBody(mpm.Box((-1, 0), (1, 0.5)), free=free, force=load, name="footing")
+    F = mpm.momentum(law, points, u, v) + mpm.contact(footing, points, u, v, friction=friction)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
+    for pressed in (25e3, 50e3):
+        load.value[:] = 0.2 * pressed * free[0], -pressed
+        record = problem.step()
+        np.testing.assert_allclose(record.bodies["footing"]["force"], -load.value, atol=1e-3)
+        assert record.halvings == 0
+    # an elastic layer of 2 m carries the mean pressure of 25 kPa
+    assert 0.5 < (0.25 - footing.position[1]) / (2.0 * 25e3 / 1.35e7) < 1.5
+
+
+def test_a_load_by_a_function_that_jumps_is_told():
+    """Substeps divide constants, and not a function that reads what a script changes."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(-2, 2.1, 0.5), np.arange(-1, 0.6, 0.5)])
+    points = mpm.fill(grid, mpm.Box((-2, -1), (2, 0)), 2, 1700.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    pressed = [4e4]
+    box, free = mpm.Box((-1.01, 0), (1.01, 0.5)), (False, True, False)
+    footing = mpm.RigidBody(box, free=free, force=lambda t: (0.0, -pressed[0]))
+    F = mpm.momentum(mpm.materials.Tresca(1e7, 0.3, cohesion=20e3), points, u, v)
+    F += mpm.contact(footing, points, u, v)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", max_halvings=1)
+    problem.step()
+    pressed[0] = 1e8
+    with pytest.raises(mpm.errors.ConvergenceError, match=r"function of t that jumps.*Constant"):
+        problem.step()

@@ -199,6 +199,12 @@ def test_a_shape_outside_the_grid():
         mpm.fill(unit_grid("quadrilateral"), mpm.Box((0, 0), (1, 1.01)), 2, density=1.0)
 
 
+def test_a_shape_beyond_the_axis():
+    """A grid that is larger there would be refused, too."""
+    with pytest.raises(ShapeOutsideGridError, match="cut the shape at the axis, as in shape & mpm"):
+        mpm.fill(unit_grid("quadrilateral"), mpm.Disc((0, 0.5), 0.4), 2, 1.0, axisymmetric=True)
+
+
 def test_a_shape_without_a_point():
     with pytest.raises(EmptyShapeError, match="no material point"):
         mpm.fill(unit_grid("quadrilateral"), mpm.Disc((0.5, 0.5), 1e-4), 2, density=1.0)

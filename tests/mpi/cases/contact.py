@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import ufl
 from contactscenes import falls, is_hit, is_ploughed, is_pressed
-from dolfinx import mesh
+from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
 
@@ -89,6 +89,27 @@ def contact_of_revolution():
     assert force[1] > 5e4 * np.pi
     assert force[0] == 0.0
     return {"going_on": found, **figures(problem)}
+
+
+def free_body_at_an_edge():
+    """A footing under a load, whose edge leaves a corner of the points: secants over both."""
+    grid = mpm.create_lattice(COMM, [np.arange(-4, 4.1, 0.25), np.arange(-2, 0.6, 0.25)])
+    points = mpm.fill(grid, mpm.Box((-4, -2), (4, 0)), 2, 1700.0)
+    V = mpm.Space(grid, "gimp")
+    load = fem.Constant(grid, (0.0, 0.0))
+    box, free = mpm.Box((-1, 0), (1, 0.5)), (False, True, False)
+    footing = mpm.RigidBody(box, free=free, force=load, name="footing")
+    F = mpm.momentum(mpm.materials.Tresca(1e7, 0.3, cohesion=2e4), points, V.increment, V.test)
+    F += mpm.contact(footing, points, V.increment, V.test)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, tolerance=1e-11)
+    for pressed in (25e3, 50e3):
+        load.value[1] = -pressed
+        record = problem.step()
+    assert record.halvings == 0
+    # the moment is zero but for rounding
+    found = {"force": footing.force.tolist(), "position": footing.position.tolist()}
+    return {**found, **sums(problem.points, "x", "stress", "contact1_normal_force")}
 
 
 def _thrown(kind, free=True, **options):
