@@ -261,14 +261,13 @@ class Newton:
                 return reason if now.by_field is None else Reason.ITERATING
             if reason == Reason.ITERATING and resolved and iteration > 0:
                 others = by_field is None or others_balanced(operator, by_field, self.tolerance)
-                limit = _STALLED * resolved if balance.stalls else resolved
+                limit = resolved * (_STALLED if balance.stalls else 1.0)
                 if others and _moved(operator, snes.getSolutionUpdate()) <= limit:
                     balance.rounded = True
                     return Reason.CONVERGED_SNORM_RELATIVE
             stuck = balance.stalls if secants is None else secants.stuck
-            if balance.guessed and reason == Reason.ITERATING and stuck:
-                return Reason.DIVERGED_LINE_SEARCH
-            return reason
+            given_up = balance.guessed and reason == Reason.ITERATING and stuck
+            return Reason.DIVERGED_LINE_SEARCH if given_up else reason
 
         snes = linear.snes
         self._set_search(snes, SEARCHES[0] if contact else self.search)
