@@ -15,9 +15,9 @@
 #
 # What comes out in cells of 0.25 m, over the last third of a turn by 60°, without friction:
 #
-# - Pitch-matched, the pile needs a push of 17 kN, 2.2 strengths on the plate's area, and a torque
-#   of 1.9 kN m. The push times $p/2\pi$ is 1.1 kN m of it. The plate's leading edge makes the rest.
-# - With half the advance the clay pulls the pile down by 18 kN, and the torque is 7.4 kN m. The
+# - Pitch-matched, the pile needs a push of 19 kN, 2.4 strengths on the plate's area, and a torque
+#   of 3.3 kN m. The push times $p/2\pi$ is 1.2 kN m of it. The plate's leading edge makes the rest.
+# - With half the advance the clay pulls the pile down by 17 kN, and the torque is 6.2 kN m. The
 #   pull still grows at the end.
 #
 # The plate reaches 1.5 cells beyond the shaft. The torque changes by up to three times from step to

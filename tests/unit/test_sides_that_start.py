@@ -42,8 +42,9 @@ def test_momentum_of_the_wave(mapping, fused):
     assert bool(problem.unfused) != fused
 
 
+# the loops of "apic" take seconds to compile
 @pytest.mark.parametrize("scheme", ["musl", "usl", "usf"])
-@pytest.mark.parametrize("mapping", ["flip", "apic"])
+@pytest.mark.parametrize("mapping", ["flip", pytest.param("apic", marks=pytest.mark.long)])
 def test_first_step(mapping, scheme):
     """Points beside the side have its velocity after the first step, fused or not."""
     found = []
