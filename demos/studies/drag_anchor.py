@@ -25,8 +25,8 @@
 #   half of the way, by 21.3° after Neubecker and Randolph. It dives at 19.3°, after them at 23.1°.
 #   The tension is 31 kN, 3.1 strengths on the fluke's area.
 # - In cells of 0.25 m the inclination is 25.1°, after them 27.9°. But the fluke dives at 14.8°
-#   only, after them at 28.6°, and the tension
-#   is 50 kN: such cells hold a blunt fluke that is thinner than they are.
+#   only, after them at 28.6°, and the tension is 50 kN: such cells hold a blunt fluke that is
+#   thinner than they are.
 # - Gaps stay open behind the fluke, because the clay has no weight.
 # - A fluke that is laid at 22° finds no equilibrium in the first step.
 
