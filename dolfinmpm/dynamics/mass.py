@@ -81,8 +81,8 @@ class MassTerms(Term):
         """Give the mass a ghost penalty, γ_M J. Collective.
 
         Args:
-            factors: γ_M of each space that moves points, in units of the largest density; those
-                of Coombs (2023) by default.
+            factors: γ_M of each space that moves points, in units of the largest density; the
+                defaults of `Newmark` if None.
         """
         if factors is None:
             own = [self._spaces[k] for k in movers(self._spaces)]
@@ -171,7 +171,7 @@ def _default(field: Field) -> float:
 
 
 def _penalty_factor(space: Space) -> float:
-    """Coombs' (2023) factor of the ghost penalty of the mass on a space's functions."""
+    """Default γ_M of a space: 1/4 as in Coombs (2023), times the factor of its basis."""
     return 0.25 * GHOST_FACTORS[space.basis.degree]
 
 

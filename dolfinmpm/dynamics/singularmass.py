@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 _SHARE = 1e-8
 # residuals that CG reaches with forces along vectors without mass: rounding over ε
 _TOLERANCE, _MOST = 1e-7, 4000
-# each further pass squares the error ε of vectors that have mass
+# the error of vectors that have mass is about ε to the power of the number of passes
 _PASSES = 3
 
 
