@@ -41,6 +41,7 @@ def test_norsand_has_the_peaks_and_ends_of_the_theory(tmp_path):
     assert found["rows"][1]["brittle"] > 0.5
 
 
+@pytest.mark.long
 @NEEDS_FORTRAN
 def test_damping_is_that_of_masings_rule(tmp_path):
     found = figures(tmp_path, "damping")

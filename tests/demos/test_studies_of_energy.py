@@ -11,9 +11,13 @@ def energies(*words: str):
 
 
 @pytest.mark.parametrize(
-    "integrator", ["newmark --stabilisation ghost", "newmark --stabilisation aggregation",
-                   "generalised-alpha --dt 1e-3"],
-)  # fmt: skip
+    "integrator",
+    [
+        "newmark --stabilisation ghost",
+        pytest.param("newmark --stabilisation aggregation", marks=pytest.mark.long),
+        "generalised-alpha --dt 1e-3",
+    ],
+)
 def test_impact_keeps_energy(integrator):
     found = energies("--scene", "impact", "--integrator", *integrator.split())
     assert found["most"] <= 100.02

@@ -226,7 +226,14 @@ def test_runs_that_end_before_the_best_fit():
     assert not any("max_runs" in note for note in enough.notes)
 
 
-@pytest.mark.parametrize("weight", [1e-150, 1e-8, 1e150])
+@pytest.mark.parametrize(
+    "weight",
+    [
+        1e-150,
+        pytest.param(1e-8, marks=pytest.mark.long),
+        pytest.param(1e150, marks=pytest.mark.long),
+    ],
+)
 def test_units_of_weights_have_no_effect(weight):
     """Iterations had ended at the start with small weights, and in nan with large ones."""
     start, y = {"a": 2.0, "b": 3.0}, [0.9, 3.1, 5.2, 6.9, 9.1, 11.0]

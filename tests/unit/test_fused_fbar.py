@@ -69,7 +69,7 @@ BY_CENTRES = [
 
 @pytest.mark.parametrize(
     "scene",
-    [pytest.param(s, marks=[LONG] * (s["scheme"] != "usf")) for s in BY_CENTRES],
+    [pytest.param(s, marks=LONG) for s in BY_CENTRES],
     ids=lambda s: "-".join(str(x) for x in s.values())[:40],
 )
 def test_changes_of_volume_shared_by_centres(scene):

@@ -74,10 +74,10 @@ def compare(times=(0.006, 0.02, 0.04), **scene):
 
 # each scene has loops of its own, which take seconds to compile
 DAILY = [
-    ("gimp", "usf", "apic", {"law": NEO, "domains": "volume"}),
     ("gimp", "musl", "flip", {"fbar": True, "law": STEEL}),
 ]
 MORE = [
+    ("gimp", "usf", "apic", {"law": NEO, "domains": "volume"}),
     ("bspline2", "musl", "flip", {"law": GRITTY}),
     ("linear", "usl", "flip", {}),
     ("gimp", "musl", "flip", {"law": NEO}),

@@ -25,7 +25,7 @@ def bar(mapping, fused, scheme="musl"):
 
 
 @pytest.mark.parametrize("fused", [True, False])
-@pytest.mark.parametrize("mapping", ["flip", "apic", "pic"])
+@pytest.mark.parametrize("mapping", ["flip", pytest.param("apic", marks=pytest.mark.long), "pic"])
 def test_momentum_of_the_wave(mapping, fused):
     """The side gives ρ c v per area and time; steps that are taken one by one do not fail."""
     problem, points = bar(mapping, fused)

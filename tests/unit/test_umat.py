@@ -63,7 +63,9 @@ def test_stress_and_tangent_are_those_of_the_built_in_law(dim, strain, law):
         assert np.abs(own - exact).max() < 1e-12 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Newmark, mpm.Explicit])
+@pytest.mark.parametrize(
+    "kind", [mpm.QuasiStatic, mpm.Newmark, pytest.param(mpm.Explicit, marks=pytest.mark.long)]
+)
 def test_a_column_is_that_of_the_built_in_law(kind):
     properties = [1e6, 0.3, 4e4, 2e5]
     law = umat("mises.f", properties, ["plastic_strain"])
