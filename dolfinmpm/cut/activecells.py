@@ -14,7 +14,7 @@ from dolfinmpm._platform.compat import ghosted_partitioner
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
-from dolfinmpm.cut.fractions import fill_fractions
+from dolfinmpm.cut.edgecells import at_edges, ill_at_edges
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 from dolfinmpm.grid.leafsearch import node_at
@@ -26,11 +26,6 @@ __all__ = ["GhostFacets", "active_cells", "active_nodes", "active_on_grid", "ent
 
 GhostRows = npt.NDArray[np.int32]
 Mask = npt.NDArray[np.bool_]
-
-# A cell at the edge of the grid with less of the body is a boundary cell
-_ILL_FILLED = 0.5
-# Lines and corners of cells agree to this share of the grid's length
-_ROUNDING = 1e-9
 
 
 def _flags(indices: npt.NDArray[np.int32], numbering: Numbering) -> npt.NDArray[np.bool_]:
@@ -104,8 +99,8 @@ class GhostFacets:
     """Interior facets between active cells of which at least one borders on an inactive cell.
 
     This is the definition of Coombs (2023, doi 10.1002/nme.7332). The outer edge of the grid makes
-    no cell a boundary cell, unless the body fills less than half of it, see `_ill_at_edges`. A cell
-    that only markers reach is one.
+    no cell a boundary cell, but for those of `dolfinmpm.cut.edgecells`. A cell that only markers
+    reach is one.
 
     Args:
         grid: Background grid.
@@ -286,27 +281,6 @@ def ghost_facets(grid: Mesh) -> GhostFacets:
     return GhostFacets(grid)
 
 
-def _ill_at_edges(
-    where: Placement, seen: Stencils, basis: LatticeBasis | LinearBasis | LeafBasis, active: Mask
-) -> Mask:
-    """Mask of the active cells at the outer edge of the grid that are filled by less than a half.
-
-    All neighbours of such a cell may be active, and no node beyond it would be held by a penalty.
-    Collective.
-    """
-    if isinstance(basis, LinearBasis):
-        outer = ghost_facets(basis.grid).outer()
-    else:
-        outer = np.zeros(active.size, bool)
-        low, high = basis.cell_corners()
-        for d, line in enumerate(basis.lattice.lines):
-            close = _ROUNDING * (line[-1] - line[0])
-            outer |= (low[:, d] - line[0] <= close) | (line[-1] - high[:, d] <= close)
-    outer &= active
-    filled = fill_fractions(where, seen, basis, outer)
-    return outer & (filled < _ILL_FILLED)
-
-
 def entities(
     grid: Mesh, moving: set[int], where: Placement, seen: Stencils, of_points: Stencils,
     basis: LatticeBasis | LinearBasis | LeafBasis,
@@ -327,7 +301,11 @@ def entities(
     cells = active_cells(seen, basis.cells)
     empty = cells & ~active_cells(of_points, basis.cells)
     if GHOST_FACETS in moving:
-        empty |= _ill_at_edges(where, seen, basis, cells)
+        if isinstance(basis, LinearBasis):
+            edges = ghost_facets(basis.grid).outer()[None]
+        else:
+            edges = at_edges(basis)
+        empty |= ill_at_edges(where, seen, basis, cells & edges)
     if isinstance(basis, LeafBasis):
         own = np.flatnonzero(cells[: basis.cells.owned]).astype(np.int32)
         return {GHOST_FACETS: _ghost_facets_of_leaves(cells, empty, basis), ACTIVE_CELLS: own}

@@ -45,6 +45,19 @@ def test_a_slope_needs_its_stabilisation(tmp_path):
         assert one["iterations"] / max(1, one["steps_done"]) == rows[one["stabilisation"]]
 
 
+@pytest.mark.parametrize("seed", ["9170", "9192"])
+def test_clay_slides_down_a_wall_in_cubic_splines(tmp_path, seed):
+    """One row of points beside the wall had left functions free there, and halved the steps."""
+    found = run(
+        "stability_atlas", "--family", "slopes", "--basis", "bspline3", "--stabilisation", "ghost",
+        "--seed", seed, "--output", str(tmp_path), "--no-plot",
+    )  # fmt: skip
+    assert found["success"] == {"ghost": 1.0}
+    (row,) = found["table"]
+    assert row["halvings"] == 0.0
+    assert row["iterations"] < 8
+
+
 def test_ranks_share_problems_and_agree(tmp_path):
     found = run(
         "stability_atlas", "--family", "slopes,bodies", "--basis", "linear", "--stabilisation",

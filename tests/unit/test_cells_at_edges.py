@@ -46,3 +46,24 @@ def test_a_last_row_of_cells_acts_as_one_of_two(basis, levels, depth):
     assert gap < max(1e-4 * settled, 1.01 * usual)
     assert largest < max(settled, 1.01 * most)
     assert settled == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("basis", "across", "held"),
+    [("bspline3", 0.0, True), ("bspline3", 0.1, True), ("bspline3", 1.0, False),
+     ("bspline2", 0.0, False)],
+)  # fmt: skip
+def test_a_row_of_points_along_a_side_in_cubic_splines(basis, across, held):
+    """Cubic splines have two functions more there, which one row of points leaves nearly free."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [h * np.arange(5), h * np.arange(5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (4 * h, 4 * h)), 2, 1800.0)
+    # points of the cells beside the wall go to its first quarter, more or less
+    x = points["x"].copy()
+    beside = x[:, 0] < h
+    x[beside, 0] = 0.25 * h + across * (x[beside, 0] - 0.25 * h)
+    points["x"] = x
+    V = mpm.Space(grid, basis)
+    F = mpm.momentum(ELASTIC, points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
+    # the facets of the four cells beside the wall: one each, and three between them
+    assert problem.operator().here.ghost_facets == (7 if held else 0)
