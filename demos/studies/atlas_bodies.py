@@ -1,8 +1,9 @@
 """Rigid bodies of random shape in the stability atlas, pressed into soil and dragged through it.
 
-The soil, 16 by 6 to 7 cells of 0.25 m, is at rest under its weight (2000 kg/m³, horizontal stress
-K0 = ν/(1 − ν) times the vertical one). A body comes down onto it, goes 0.5 to 1.5 cells deep, and
-then 1 to 3 cells to the side. Drawn evenly between these bounds:
+The soil, 16 by 6 to 7 cells of 0.25 m, is at rest under its weight (2000 kg/m³). The horizontal
+stress is K0 = ν/(1 − ν) times the vertical one, with friction at least 1 − sin φ (Jaky), because
+the first stress must not be beyond the yield surface. A body comes down onto it, goes 0.5 to 1.5
+cells deep, and then 1 to 3 cells to the side. Drawn evenly between these bounds:
 
 - a disc, a box, a turned box or a convex polygon of 3 to 7 corners, within a circle of 1.2 to 2.2
   cells; half of those with corners have fillets of 0.1 to 0.3 cells; a third turns by up to 0.02
@@ -85,6 +86,8 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     u, v = V.increment, V.test
     law, gravity = law_of(p), fem.Constant(grid, (0.0, -GRAVITY))
     K0 = p["nu"] / (1 - p["nu"])
+    if p["friction"]:
+        K0 = max(K0, 1.0 - math.sin(math.radians(p["friction"])))
     mpm.set_stress(law, points, mpm.geostatic_stress(p["top"], DENSITY * GRAVITY, K0))
     corners = np.array(p["shape"]["corners"])
     centre = np.array([p["x"], p["top"] - corners[:, 1].min() + 0.01 * H])
