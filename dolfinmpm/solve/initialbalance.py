@@ -47,8 +47,8 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
     the sums of their forces are balanced. The next step then moves the body a little, as far as
     the penalty allows: about a hundredth of the motion in the steps here.
 
-    Contact with rigid bodies that hold ground needs a bound `penetration=`: its multipliers keep the
-    pressure, while that of a penalty alone goes with the penetration.
+    Contact with rigid bodies that hold ground needs a bound `penetration=`: its multipliers keep
+    the pressure, while that of a penalty alone goes with the penetration.
 
     Internal variables, such as plastic strain, and the records of the steps are kept.
 
@@ -112,7 +112,9 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
             problem.tolerance = usual
     if out <= tolerance:
         return len(problem.history) - before
-    remedy = "the body flows under its loads; take more steps, or give it more strength or less load"
+    remedy = (
+        "the body flows under its loads; take more steps, or give it more strength or less load"
+    )
     by_penalty = [c.body.name for c in problem.bodies.contacts if c.law.penetration is None]
     if by_penalty:
         remedy = (

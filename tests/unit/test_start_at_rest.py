@@ -167,7 +167,7 @@ def retained(**options):
 
 
 def test_ground_behind_a_rigid_wall_rests_with_a_bound_of_the_penetration():
-    """The thrust at rest is K0 γ H²/2; a penalty alone keeps no force, and the message says so."""
+    """The thrust at rest is K0 γ H²/2; a penalty alone keeps none, and the message says so."""
     ground = mpm.Deposit(2.0, mpm.Layer(0.0, 1800 * G, K0=0.5))
     points, wall, problem = retained(penetration=1e-7)
     mpm.start_at_rest(problem, ground)
