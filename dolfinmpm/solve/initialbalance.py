@@ -47,6 +47,9 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
     the sums of their forces are balanced. The next step then moves the body a little, as far as
     the penalty allows: about a hundredth of the motion in the steps here.
 
+    Contact with rigid bodies that hold ground needs a bound `penetration=`: its multipliers keep
+    the pressure, while that of a penalty alone goes with the penetration.
+
     Internal variables, such as plastic strain, and the records of the steps are kept.
 
     Args:
@@ -109,10 +112,18 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
             problem.tolerance = usual
     if out <= tolerance:
         return len(problem.history) - before
+    remedy = (
+        "the body flows under its loads; take more steps, or give it more strength or less load"
+    )
+    by_penalty = [c.body.name for c in problem.bodies.contacts if c.law.penetration is None]
+    if by_penalty:
+        remedy = (
+            f"the penalty of the contact with '{by_penalty[0]}' has no force once the points are "
+            f"back; give mpm.contact(..., penetration=1e-6). With it, {remedy}"
+        )
     raise ConvergenceError(
         f"after {most} steps the force out of balance is {out:.3g} of external forces and "
-        f"reactions (tolerance {tolerance:g}): the body flows under its loads; take more steps, or "
-        "give it more strength or less load"
+        f"reactions (tolerance {tolerance:g}): {remedy}"
     )
 
 

@@ -8,7 +8,7 @@ import ufl
 from conftest import COMM
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 
 G = 9.81
 
@@ -150,3 +150,31 @@ def test_splines_change_the_stress_of_level_ground_by_what_the_sums_miss(per_cel
     off = points["stress"][:, 1, 1] + 1800 * G * (4.0 - points["x"][:, 1])
     assert np.abs(off).max() < bound * 1800 * G * 0.5
     assert abs(off.mean()) < 1e-9 * 1800 * G
+
+
+def retained(**options):
+    """Level ground of 2 m behind a rigid wall, and its problem."""
+    grid = mpm.create_lattice(COMM, [np.linspace(-1, 3, 9), np.linspace(0, 3, 7)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (3, 2)), per_cell=2, density=1800.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    soil = mpm.materials.MohrCoulomb(20e6, 0.3, cohesion=5e3, friction_angle=35.0)
+    wall = mpm.RigidBody(mpm.Plane((0, 0), (1, 0)), name="wall")
+    F = mpm.momentum(soil, points, u, v) + mpm.contact(wall, points, u, v, **options)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -G)), v) * points.dX
+    bcs = mpm.rollers(V, "bottom", "right")
+    return points, wall, mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
+
+
+def test_ground_behind_a_rigid_wall_rests_with_a_bound_of_the_penetration():
+    """The thrust at rest is K0 γ H²/2; a penalty alone keeps none, and the message says so."""
+    ground = mpm.Deposit(2.0, mpm.Layer(0.0, 1800 * G, K0=0.5))
+    points, wall, problem = retained(penetration=1e-7)
+    mpm.start_at_rest(problem, ground)
+    problem.step()
+    assert np.abs(points["x"] - points["x0"]).max() < 1e-7
+    assert -wall.force[0] == pytest.approx(0.25 * 1800 * G * 2.0**2, rel=1e-3)
+
+    _, _, problem = retained()
+    with pytest.raises(ConvergenceError, match=r"contact with 'wall' .* penetration=1e-6"):
+        mpm.start_at_rest(problem, ground, most=4)
