@@ -132,6 +132,18 @@ class Settings:
             clock,
         )
 
+    def shorten(self, longest: float, mass: str) -> float:
+        """The critical step (s) of the order, from 2/ω_max (s).
+
+        In "usl" points strain by the nodes' velocities before a lumped mass smears their change by
+        the factor s. The step then damps the frequency ω if ω Δt < 2/√(2 − s), at the worst √2.
+
+        Args:
+            longest: 2/ω_max of stiffness and mass.
+            mass: "lumped" or "consistent".
+        """
+        return longest * (math.sqrt(0.5) if self.scheme == "usl" and mass == "lumped" else 1.0)
+
     @property
     def gives_back(self) -> bool:
         """Whether points add the change of the nodes' velocities, and move by the sum ("musl")."""
