@@ -57,6 +57,9 @@ def of_step(problem: Problem, t: Any = None) -> PlainValues:
     for body in problem.bodies.all:
         at = body.time + 1.0 if t is None else end
         found.append((f"motion of '{body.name}'", _asked(body.prescribed, at)))
+        if body.freedom is not None and body.freedom.loads_by_functions:
+            found.append((f"load of '{body.name}'", _asked(body.freedom.external, at)))
+    found += [(name, _asked(wave, end)) for name, wave in problem.waves]
     return found
 
 
