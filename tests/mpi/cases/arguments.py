@@ -267,6 +267,12 @@ def _functions_of_one_rank(s) -> None:
         raise ValueError("only here")
 
     of = "differs between ranks: "
+    problem = s.motion(mpm.Explicit)
+    problem.courant = _last(0.8, np.nan)
+    _differs(lambda: problem.step(1e-3), f"courant {of}0.8 on")
+    problem = s.solver()
+    problem.tolerance = _last(1e-9, 1e-8)
+    _differs(problem.step, f"tolerance {of}1e-09 on")
     for rule in (mpm.Newmark, mpm.Explicit):
         for value, text in ((fails, "Error"), (lambda: (0.0, np.nan), "a "), (lambda: (0, 3), "3")):
             mass = {"mass": 10.0, "free": (True, True, False)}
