@@ -32,11 +32,7 @@ from dolfinmpm.dynamics.critical import cell_sizes_at, critical_step, exact_step
 from dolfinmpm.dynamics.energybounds import EnergyBalance
 from dolfinmpm.dynamics.explicitbase import Settings, checked_courant
 from dolfinmpm.dynamics.explicitcall import CallMemory, ExplicitCall, Snapshot
-from dolfinmpm.dynamics.faces import (
-    ghost_mass_at,
-    refuse_constraints,
-    split_conditions,
-)
+from dolfinmpm.dynamics.faces import ghost_mass_at, refuse_constraints, split_conditions
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import why_not
 from dolfinmpm.dynamics.fused import FusedSteps
@@ -203,6 +199,7 @@ class Explicit(MovingBody, Problem):
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points, self.bcs, options.get("prolongation"))
+        self.waves = sides.waves
         self._loop: CollisionSteps | FusedSteps | GeneralSteps
         if collision is not None:
             check_kind("collision", collision, Collision, "give mpm.Collision(tags=(1, 2))")
@@ -276,10 +273,10 @@ class Explicit(MovingBody, Problem):
     def critical_step(self, exact: bool = False) -> float:
         """The longest stable step (s). Collective.
 
-        Bulk viscosity shortens it. The part of its quadratic coefficient is that of the last step.
+        The order "usl" and bulk viscosity shorten it, the quadratic one by that of the last step.
 
         Args:
-            exact: True gives 2/√λ_max of the eigenproblem K x = λ M x in the present state. The
+            exact: True takes 2/√λ_max of the eigenproblem K x = λ M x in the present state. The
                 tangent is then compiled. False gives an estimate by wave speed and grid.
         """
         mass_scaling, loop = self.settings.mass_scaling, self._loop
@@ -287,7 +284,7 @@ class Explicit(MovingBody, Problem):
             here = self.activate()
             if self.form.boundaries:
                 here, _ = weighed(self.form, here)
-            return self._by_viscosity(exact_step(self.form, self.terms, here, mass_scaling))
+            return self._shortened(exact_step(self.form, self.terms, here, mass_scaling))
         self.form.bind()
         field, declarations = self.fields[0], self.form.parts.declarations
         tied = (
@@ -305,10 +302,11 @@ class Explicit(MovingBody, Problem):
             springs *= (0.5 * (field.space.basis.degree + 1)) ** 2
         boundaries = loop.boundary_stiffness() if isinstance(loop, GeneralSteps) else Stiffness()
         rate = (1.0 + boundaries.share) / found**2 + 0.25 * (springs + boundaries.rate)
-        return self._by_viscosity(math.sqrt(mass_scaling / rate))
+        return self._shortened(math.sqrt(mass_scaling / rate))
 
-    def _by_viscosity(self, longest: float) -> float:
-        """The longest stable step (s), from that without bulk viscosity. Collective."""
+    def _shortened(self, longest: float) -> float:
+        """The longest stable step (s), from 2/ω_max without bulk viscosity. Collective."""
+        longest = self.settings.shorten(longest, self.terms.kind)
         return self.viscosity.shorten(longest) if self.viscosity is not None else longest
 
     @property

@@ -8,18 +8,24 @@ from collections.abc import Callable, Set
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm._platform.argumentchecks import choice, is_endless, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.kinks import Kinks
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.smallmass import Filter, checked_viscosity, filters
+from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
-__all__ = ["ExplicitBase", "Settings", "checked_courant", "strain_interval"]
+__all__ = ["ExplicitBase", "Settings", "checked_courant", "strain_by", "strain_interval"]
+
+Array = npt.NDArray[np.float64]
 
 SCHEMES = ("usl", "usf", "musl")
 
@@ -79,6 +85,30 @@ def strain_interval(step: ExplicitStep, scheme: str) -> tuple[float, float]:
     return step.start, step.dt
 
 
+def strain_by(operator: Operator, points: MaterialPoints, u: Array, scheme: str) -> None:
+    """Set the increments that strain the points. Collective.
+
+    In "usf" points have moved by them already. The gradient where the motion began is H (1 − H)⁻¹,
+    with the gradient H where it ended. So a motion that turns a body does not strain it.
+
+    Args:
+        operator: The equations of the step.
+        points: Material points.
+        u: Increments at the nodes (m), shape (nodes, d).
+        scheme: Order of the step.
+    """
+    operator.set_increments([u])
+    if scheme != "usf" or points.axisymmetric:
+        # sections of axisymmetric bodies hardly turn
+        return
+    at = operator.points
+    H = at.gradient[0]
+    H[...] = H @ np.linalg.inv(np.eye(points.gdim) - H)
+    for region in at.regions:
+        # means over cells
+        region.prepare()
+
+
 @dataclass(frozen=True)
 class Settings:
     """Settings of explicit steps, see `Explicit`.
@@ -131,6 +161,18 @@ class Settings:
             tuple(filters(mass_cutoff, redistribution)),
             clock,
         )
+
+    def shorten(self, longest: float, mass: str) -> float:
+        """The critical step (s) of the order, from 2/ω_max (s).
+
+        In "usl" points strain by the nodes' velocities before a lumped mass smears their change by
+        the factor s. The step then damps the frequency ω if ω Δt < 2/√(2 − s), at the worst √2.
+
+        Args:
+            longest: 2/ω_max of stiffness and mass.
+            mass: "lumped" or "consistent".
+        """
+        return longest * (math.sqrt(0.5) if self.scheme == "usl" and mass == "lumped" else 1.0)
 
     @property
     def gives_back(self) -> bool:

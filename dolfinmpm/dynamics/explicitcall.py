@@ -13,6 +13,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.argumentchecks import is_endless, number
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm._platform.garbagecollector import free_petsc
 from dolfinmpm.body.loadbalance import balance, imbalance
@@ -182,6 +183,9 @@ class ExplicitCall:
     def _begin(self) -> Set[str]:
         """Begin the call; returns the fields changed since the last call. Collective."""
         problem, memory = self._problem, self._memory
+        if not is_endless(problem.courant):
+            # a script may have set it since
+            number("courant", problem.courant, 0.0)
         conditions = problem.essential_conditions
         check_loads(problem.loads.items, problem.form.given, conditions, problem.comm)
         problem._check_still_valid()

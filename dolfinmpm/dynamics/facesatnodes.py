@@ -112,6 +112,16 @@ class Sides:
         """Whether waves come in through a face."""
         return any(face.incoming is not None for face in self._faces) or has_columns(self._faces)
 
+    @property
+    def waves(self) -> list[tuple[str, Any]]:
+        """Name and velocity by time (m/s) of each wave that comes in."""
+        return [
+            (f"wave {k + 1} at '{face.where}'", wave)
+            for face in self._faces
+            for k, wave in enumerate(face.incoming or ())
+            if wave is not None
+        ]
+
     def regrid(self) -> None:
         """Discard areas that depend on the old grid lines."""
         self._on.clear()

@@ -209,6 +209,9 @@ def kernel(
                 if ring:
                     h[0, 2] = h[1, 2] = h[2, 0] = h[2, 1] = 0.0
                     h[2, 2] = v_new[0] / x[0]
+                # without "velocity", velocities of the last motion at its end ("usf")
+                if strain and not (velocity or move or ring) and not carried(d, -dt, h, h) > 0.0:
+                    return np.intp(p), left, behind
                 if strain:
                     plus_one(ds, dt, h, 1.0, a)
                 mean = 0.0

@@ -29,7 +29,7 @@ from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.boundarywork import boundary_forces, works_of_boundaries
 from dolfinmpm.dynamics.clock import velocities_at
 from dolfinmpm.dynamics.energies import lateness, lateness_by_contact, mapping_loss, stress_volumes
-from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, strain_interval
+from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, strain_by, strain_interval
 from dolfinmpm.dynamics.facesatnodes import Faces
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import point_masses
@@ -140,7 +140,7 @@ class GeneralSteps(ExplicitBase):
                 self._constrain_stopped(here, stopped, V_move)
         V_strain = V_strain if settings.scheme == "usf" else V_move
         moved = points["x"] + dt * collect(s, V_move)
-        operator.set_increments([strained * V_strain])
+        strain_by(operator, points, strained * V_strain, settings.scheme)
         if by_boundaries is not None and settings.clock is not None:
             # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
@@ -245,7 +245,7 @@ class GeneralSteps(ExplicitBase):
         points = self._problem.points
         state: NewState | None = None
         if u is not None:
-            operator.set_increments([u])
+            strain_by(operator, points, u, self._settings.scheme)
             found = new_state(self._problem, operator, stays=True)
             if isinstance(found, str):
                 return found

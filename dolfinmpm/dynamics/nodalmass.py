@@ -27,6 +27,7 @@ from dolfinmpm.dynamics.mass import MassTerms, point_masses
 from dolfinmpm.dynamics.singularmass import solution_without_null_vectors
 from dolfinmpm.dynamics.transfer import scatter
 from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.solve.linearsolver import FACTORISATION
 from dolfinmpm.solve.method import Tangent, crossover
 from dolfinmpm.solve.substructures import set_cholesky
 
@@ -41,6 +42,8 @@ _PROPORTION = 1e3
 # Limit of f · M⁻¹ f over f · D⁻¹ f with the diagonal D: sound masses give up to 50, and mostly less
 # than 20; bodies with fewer points than free nodes give 500 to 20 000
 _GAIN = 200.0
+# PETSc options of the factors of a mass
+_PREFIX = "dolfinmpm_mass_"
 
 
 class Mass:
@@ -300,11 +303,21 @@ class Mass:
         pc.setType("jacobi")
         mass = Tangent(symmetric=True, definite=True, softened=False)
         many = unknowns.total >= crossover(mass, self._terms.points.gdim)
-        if self._terms.factorised and not many:
-            set_cholesky(pc, matrix.petsc)
         ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, max_it=_MOST)
         ksp.setInitialGuessNonzero(True)
         ksp.setOperators(matrix.petsc)
+        if self._terms.factorised and not many:
+            ksp.setOptionsPrefix(_PREFIX)
+            # a message of CHOLMOD for each step is no help
+            PETSc.Options(_PREFIX)["mat_cholmod_print"] = 0
+            set_cholesky(pc, matrix.petsc)
+            try:
+                ksp.setUp()
+            except PETSc.Error as error:
+                # on one rank CHOLMOD raises; a ghost penalty without cut cells leaves null vectors
+                if error.ierr not in FACTORISATION:
+                    raise
+                pc.setType("jacobi")
         return ksp
 
 

@@ -45,6 +45,8 @@ def of_step(problem: Problem, t: Any = None) -> PlainValues:
     end = getattr(t, "end", t)
     found: PlainValues = [("the number of the points' fields", len(problem.points.fields))]
     found += [("t", _at_once(t)), ("the last time", _at_once(end))]
+    # arguments that a script may set between steps
+    found += [(name, _at_once(getattr(problem, name))) for name in sorted(problem._live)]
     constants = [c for c in problem.loads.items if isinstance(c, fem.Constant)]
     found += [(_name_of(c, k), _at_once(c.value)) for k, c in enumerate(constants)]
     for k, condition in enumerate(problem.bcs):
@@ -57,6 +59,9 @@ def of_step(problem: Problem, t: Any = None) -> PlainValues:
     for body in problem.bodies.all:
         at = body.time + 1.0 if t is None else end
         found.append((f"motion of '{body.name}'", _asked(body.prescribed, at)))
+        if body.freedom is not None and body.freedom.loads_by_functions:
+            found.append((f"load of '{body.name}'", _asked(body.freedom.external, at)))
+    found += [(name, _asked(wave, end)) for name, wave in problem.waves]
     return found
 
 

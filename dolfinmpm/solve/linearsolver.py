@@ -23,12 +23,12 @@ from dolfinmpm.solve.spectra import near_kernel
 from dolfinmpm.solve.substructures import Substructures
 from dolfinmpm.solve.symmetrytest import looks_symmetric
 
-__all__ = ["WORKSPACE", "LinearSolver"]
+__all__ = ["FACTORISATION", "WORKSPACE", "LinearSolver"]
 
 Array = npt.NDArray[np.float64]
 
 # PETSc's error codes of an external library and of zero pivots in LU and Cholesky
-_FACTORISATION = (76, 71, 81)
+FACTORISATION = (76, 71, 81)
 # Factor of the residual that is expected after an iteration with a former tangent
 _SAFE = 4.0
 # Iterations of one more solution with the same tangent
@@ -368,7 +368,7 @@ class LinearSolver:
         cause = error.__cause__
         if cause is not None and not isinstance(cause, PETSc.Error):
             raise cause from None
-        if error.ierr not in _FACTORISATION:
+        if error.ierr not in FACTORISATION:
             raise error
         return "the linear solver failed: the tangent is singular"
 

@@ -142,3 +142,13 @@ def test_a_wave_in_a_body_under_stress_does_not_grow_without_an_error():
 
     with pytest.raises(InstabilityError, match="of first strain energy"):
         run()
+
+
+@pytest.mark.parametrize("courant", [float("nan"), 0.0, -1.0, "fast", None])
+def test_a_courant_number_that_is_set_later(courant):
+    problem = block()
+    problem.step(1e-3)
+    problem.courant = courant
+    with pytest.raises(ParameterError, match=r"courant = .* must be (above 0|a number)"):
+        problem.step(2e-3)
+    assert problem.time == 1e-3

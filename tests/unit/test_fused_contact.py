@@ -264,7 +264,7 @@ class TestWhatCannotBe:
         problem.step(0.002)
         # further in one step than points are looked at
         points["velocity"][:] = 0.0, 60.0
-        problem.courant = 3.0
+        problem.courant = 4.5
         with pytest.raises(InstabilityError, match="from further away than was looked at"):
             problem.step(0.005)
         assert problem.time == tool.time == 0.002

@@ -246,6 +246,7 @@ def steps_of_different_ranks():
     push.value = 0.0
     _differs(lambda: problem.step(4e-3), "differs between ranks")
     _differs(lambda: problem.save(_last("a.npz", "b.npz")), f"path {of}'a.npz' on", "'b.npz' on")
+    _functions_of_one_rank(s)
     # a load that each rank has summed itself differs by rounding: whether it changed is not clear
     s.g.value[1] = _last(-1.0, -1.0 - 1e-15)
     _differs(
@@ -253,6 +254,46 @@ def steps_of_different_ranks():
     )
     s.g.value[:] = before
     return {"time": 0.0}
+
+
+def _functions_of_one_rank(s) -> None:
+    """Loads and waves by functions of time that fail, or differ, on one rank after a while."""
+
+    def late(value, good):
+        """A function that is `good` at first, and what `value` returns on the last rank later."""
+        return lambda t: value() if t > 1.5e-3 and _last(False, True) else good
+
+    def fails():
+        raise ValueError("only here")
+
+    of = "differs between ranks: "
+    problem = s.motion(mpm.Explicit)
+    problem.courant = _last(0.8, np.nan)
+    _differs(lambda: problem.step(1e-3), f"courant {of}0.8 on")
+    problem = s.solver()
+    problem.tolerance = _last(1e-9, 1e-8)
+    _differs(problem.step, f"tolerance {of}1e-09 on")
+    for rule in (mpm.Newmark, mpm.Explicit):
+        for value, text in ((fails, "Error"), (lambda: (0.0, np.nan), "a "), (lambda: (0, 3), "3")):
+            mass = {"mass": 10.0, "free": (True, True, False)}
+            ball = mpm.RigidBody(
+                mpm.Disc((1.0, 1.4), 0.5), force=late(value, (0.0, -1.0)), name="ball", **mass
+            )
+            points, V = s.fill(), mpm.Space(s.grid)
+            u, v = V.increment, V.test
+            form = s.momentum(points=points, u=u, v=v) + mpm.contact(ball, points, u, v)
+            problem = rule(form, u, points, mpm.fixed(V, "bottom"))
+            problem.step(1e-3)
+            _differs(lambda problem=problem: problem.step(2e-3), f"load of 'ball' {of}", text)
+        for value in (fails, lambda: np.nan, lambda: 0.2):
+            points, V = s.fill(), mpm.Space(s.grid)
+            ground = {"density": 1e3, "p_speed": 4.0, "s_speed": 2.0}
+            faces = mpm.absorbing(V, "bottom", incoming=(late(value, 0.1), None), **ground)
+            form = s.momentum(points=points, u=V.increment, v=V.test)
+            problem = rule(form, V.increment, points, faces)
+            problem.step(1e-3)
+            text = f"wave 1 at 'bottom' {of}0.1 on"
+            _differs(lambda problem=problem: problem.step(2e-3), text)
 
 
 def of_few_cells():
