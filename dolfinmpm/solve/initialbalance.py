@@ -112,18 +112,18 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
             problem.tolerance = usual
     if out <= tolerance:
         return len(problem.history) - before
-    remedy = (
+    advice = (
         "the body flows under its loads; take more steps, or give it more strength or less load"
     )
     by_penalty = [c.body.name for c in problem.bodies.contacts if c.law.penetration is None]
     if by_penalty:
-        remedy = (
+        advice = (
             f"the penalty of the contact with '{by_penalty[0]}' has no force once the points are "
-            f"back; give mpm.contact(..., penetration=1e-6). With it, {remedy}"
+            f"back; give mpm.contact(..., penetration=1e-6). With it, {advice}"
         )
     raise ConvergenceError(
         f"after {most} steps the force out of balance is {out:.3g} of external forces and "
-        f"reactions (tolerance {tolerance:g}): {remedy}"
+        f"reactions (tolerance {tolerance:g}): {advice}"
     )
 
 

@@ -110,9 +110,13 @@ def test_a_bar_of_one_cell_without_cuts_swings(basis, capfd):
     bcs = mpm.fixed(V, "left") + mpm.rollers(V, "top", "bottom")
     problem = mpm.Newmark(form, V.increment, points, bcs)
     # a period of the first mode is 4 · 10 m over 1 m/s
-    with pytest.warns(SingularMassWarning, match="fewer points than free nodes"):
+
+    def swing():
         for t in mpm.times(40.0, dt=0.5):
             problem.step(t)
+
+    with pytest.warns(SingularMassWarning, match="fewer points than free nodes"):
+        swing()
     e = problem.energies()
     assert e.kinetic + e.strain == pytest.approx(e.initial, rel=1e-6)
     np.testing.assert_allclose(points["velocity"][:, 0], 1e-3 * mode, atol=1e-5)
