@@ -234,7 +234,8 @@ class FusedSteps:
         reason = None
         if switches.advance:
             self._means.sums[:] = 0.0
-            reason = self._once(Pass(strain=True), dt, Switches(), taken)
+            first = Pass(strain=True, moved=parts.moved)
+            reason = self._once(first, dt, Switches(), taken)
             self._means.take(self._window.rows())
         return reason or self._once(parts, dt, switches, used)
 

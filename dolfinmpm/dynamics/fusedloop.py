@@ -100,7 +100,9 @@ def kernel(
     `ring`: points go around the axis, see `dolfinmpm.body.axisymmetry`.
     """
     averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
-    velocity, strain, move, same, new = parts
+    velocity, strain, move, same, new, moved = parts
+    # sections of rings hardly turn
+    moved = moved and not ring
     centres, taken = means in MEANS["centres"], means in (MEANS[True][0], MEANS["centres"][0])
     used = means > 0 and not taken
     apic, tpic = affine == 1, affine == 2
@@ -209,8 +211,8 @@ def kernel(
                 if ring:
                     h[0, 2] = h[1, 2] = h[2, 0] = h[2, 1] = 0.0
                     h[2, 2] = v_new[0] / x[0]
-                # without "velocity", velocities of the last motion at its end ("usf")
-                if strain and not (velocity or move or ring) and not carried(d, -dt, h, h) > 0.0:
+                # to the gradient where the motion began
+                if moved and not carried(d, -dt, h, h) > 0.0:
                     return np.intp(p), left, behind
                 if strain:
                     plus_one(ds, dt, h, 1.0, a)

@@ -42,6 +42,7 @@ class Pass(NamedTuple):
         move: Whether points move.
         same: Sums at the nodes from the old positions: 0 none, 1 momenta, 2 forces.
         new: Sums at the nodes from the new positions: 0 none, 1 masses and momenta, 2 also forces.
+        moved: Whether points have moved by the velocities that strain them.
     """
 
     velocity: bool = False
@@ -49,6 +50,7 @@ class Pass(NamedTuple):
     move: bool = False
     same: int = 0
     new: int = 0
+    moved: bool = False
 
 
 class Switches(NamedTuple):
@@ -91,5 +93,5 @@ COLUMNS = {2: Columns(8, 6, 2, 4), 3: Columns(12, 3, 4, 8)}
 PASSES = {
     "usl": (Pass(velocity=True, strain=True, move=True, new=2),),
     "musl": (Pass(velocity=True, same=1), Pass(strain=True, move=True, new=2)),
-    "usf": (Pass(strain=True, same=2), Pass(velocity=True, move=True, new=1)),
+    "usf": (Pass(strain=True, same=2, moved=True), Pass(velocity=True, move=True, new=1)),
 }
