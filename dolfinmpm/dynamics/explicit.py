@@ -199,7 +199,7 @@ class Explicit(MovingBody, Problem):
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points, self.bcs, options.get("prolongation"))
-        self.waves = sides.waves
+        self.scheme.waves = sides.waves
         self._loop: CollisionSteps | FusedSteps | GeneralSteps
         if collision is not None:
             check_kind("collision", collision, Collision, "give mpm.Collision(tags=(1, 2))")

@@ -61,7 +61,7 @@ def of_step(problem: Problem, t: Any = None) -> PlainValues:
         found.append((f"motion of '{body.name}'", _asked(body.prescribed, at)))
         if body.freedom is not None and body.freedom.loads_by_functions:
             found.append((f"load of '{body.name}'", _asked(body.freedom.external, at)))
-    found += [(name, _asked(wave, end)) for name, wave in problem.waves]
+    found += [(name, _asked(wave, end)) for name, wave in problem.scheme.waves]
     return found
 
 

@@ -98,7 +98,6 @@ class Problem(Uncopied, ReadOnce):
     """
 
     scheme: Scheme
-    waves: Sequence[tuple[str, Any]] = ()  # see `Sides.waves`
     _attributes = frozenset({"points", "form", "scheme"})
     _takes_scheme = True  # whether the user may give a scheme
     _elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(

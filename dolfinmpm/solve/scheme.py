@@ -11,7 +11,7 @@ Only then the state is written.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,12 +37,14 @@ class Scheme:
         inertia: Whether the balance of forces has inertia.
         ties_movers: Whether nodes with little support by points are constrained to others, in
             fields that move points.
+        waves: Name and velocity by time (m/s) of each wave that comes in through a side.
     """
 
     record: type[StepRecord] = StepRecord
     in_time: bool = False
     inertia: bool = False
     ties_movers: bool = False
+    waves: Sequence[tuple[str, Any]] = ()
 
     def summary(self) -> list[str]:
         """Lines on the scheme for `print(problem)`."""
