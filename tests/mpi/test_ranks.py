@@ -24,6 +24,7 @@ VARIANTS = {
     "boundaries_triangles",
     "boundaries_total",
     "boundary_3d",
+    "contact_in_fused_steps",
     "contact_restart_in_fused_steps",
     "deposits",
     "derivatives_in_contact",
