@@ -171,6 +171,7 @@ def test_a_circular_footing_within_four_per_cent(rough):
     assert figures["factors"][-1] < 1.01 * figures["factors"][-4]
 
 
+@pytest.mark.long
 def test_a_round_column_collapses(tmp_path):
     options = ["--h", "0.02", "--duration", "1.2", "--output", str(tmp_path)]
     figures = run("round_collapse", *options)

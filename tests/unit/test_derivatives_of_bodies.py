@@ -47,6 +47,7 @@ def test_a_body_in_free_flight_whose_inertia_is_a_sum_of_rounding():
         np.testing.assert_allclose(at, [0.004, 0.0], atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_contact_that_just_touches_has_no_mirror_image():
     """At larger gaps the disc does not touch in the second step."""
 

@@ -58,6 +58,7 @@ def test_the_importance_of_an_even_chance(openturns):
     assert found.runs[0] < 4
 
 
+@pytest.mark.long
 def test_a_search_that_stops_short_says_so(openturns):
     """A margin that touches zero has no slope there; one with two ways to fail leads astray."""
     given = {"a": study.Normal(), "b": study.Normal()}
@@ -340,7 +341,11 @@ def test_a_limit_that_is_never_reached(openturns):
         study.reliability(planned(lambda m: 1e9 - m["E"]), given)
     with pytest.raises(ParameterError, match="limit = 'margin' depends on none of E"):
         study.reliability(planned(lambda m: 1e9), given)
-    # within reach of a straight line, and never zero
+
+
+@pytest.mark.long
+def test_a_limit_that_is_within_reach_of_a_straight_line_and_never_zero(openturns):
+    given = {"E": study.LogNormal(1e6, 0.1)}
     match = r"'margin' is .* at the medians, and may not fall to zero .*study\.monte_carlo"
     with pytest.raises(ConvergenceError, match=match):
         study.reliability(planned(lambda m: m["E"] + 1e5), given)
