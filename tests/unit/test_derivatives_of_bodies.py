@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pytest
 from dolfinx import fem
 
 import dolfinmpm as mpm
