@@ -50,9 +50,11 @@ def _atlas(answer: Answer) -> list[float]:
 
 
 def _atlas_bases(answer: Answer) -> list[float]:
-    """Finished random problems (%) with ghost penalty in each basis; number of problems."""
+    """Finished random problems (%) with ghost penalty in each basis; number of problems, and of
+    wrong results."""
     bases = "linear", "gimp", "bspline2", "bspline3"
-    return [*(100 * answer["success_with_ghost"][name] for name in bases), answer["problems"]]
+    shares = [100 * answer["success_with_ghost"][name] for name in bases]
+    return [*shares, answer["problems"], answer["wrong"]]
 
 
 def _leaf_corner(answer: Answer) -> list[float]:
@@ -185,9 +187,11 @@ ROWS = (
         ("mpirun -n 2 python3 demos/studies/stability_atlas.py --start 100 --seeds 14",), _atlas,
         "{:.1f}, {:.1f}, {:.1f}; {:.0f}; {:.0f}", picture="stability_atlas.png"),
     Row("atlas-bases", STEEL, "the same problems from other seeds with ghost penalty: finished "
-        "runs with linear functions, GIMP, quadratic, cubic splines (%); number of problems",
+        "runs with linear functions, GIMP, quadratic, cubic splines (%); number of problems; "
+        "wrong results without an error",
         ("mpirun -n 2 python3 demos/studies/stability_atlas.py --stabilisation ghost --start 900 "
-         "--seeds 134 --compare 0",), _atlas_bases, "{:.1f}, {:.1f}, {:.1f}, {:.1f}; {:.0f}"),
+         "--seeds 134 --compare 0",), _atlas_bases,
+        "{:.1f}, {:.1f}, {:.1f}, {:.1f}; {:.0f}; {:.0f}"),
     Row("plate", STEEL, "plate on a cube, contact stiffness 1e8 Pa/m: relative error of the height",
         each("plate_on_cube", "--stiffness-per-area 1e8"), keys("height_error"), "{:.0e}", EXACT,
         quick=True),
