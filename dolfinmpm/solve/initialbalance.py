@@ -119,7 +119,7 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
     if by_penalty:
         advice = (
             f"the penalty of the contact with '{by_penalty[0]}' has no force once the points are "
-            f"back; give mpm.contact(..., penetration=1e-6). With it, {advice}"
+            f"back; give mpm.contact(..., penetration=1e-6). If this does not help, {advice}"
         )
     raise ConvergenceError(
         f"after {most} steps the force out of balance is {out:.3g} of external forces and "
