@@ -99,7 +99,7 @@ def strain_by(operator: Operator, points: MaterialPoints, u: Array, scheme: str)
     """
     operator.set_increments([u])
     if scheme != "usf" or points.axisymmetric:
-        # sections of axisymmetric bodies hardly turn: the difference is the square of a step's strain
+        # sections of axisymmetric bodies hardly turn: what differs is the square of a strain
         return
     at = operator.points
     H = at.gradient[0]
