@@ -12,17 +12,13 @@ from mpi4py import MPI
 
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.contact.contactlaw import (
-    FREE,
-    SLIPS,
-    contact_forces,
-    explicit_reduction,
-    slip_work,
-)
+from dolfinmpm.contact.bodymotion import moments
+from dolfinmpm.contact.contactlaw import FREE, SLIPS, contact_forces, explicit_reduction, slip_work
 from dolfinmpm.contact.contactpairs import TOUCHES
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
 from dolfinmpm.contact.contactstencils import add_tangent
-from dolfinmpm.contact.corners import ALL, CornerLayout, DisplacementBasis, Rows, Which
+from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, DisplacementBasis, Rows, Which
+from dolfinmpm.contact.heldcorners import HeldCorners, overlap_of
 from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.tunnelling import (
@@ -68,9 +64,12 @@ class ActiveRigidContact(ActiveContact):
             (m, gdim).
         start: State of the corners at the start of the step.
         now: Forces on the corners.
+        held: Overlap of corners that a fixed side of the grid holds, or None.
     """
 
     pushes = True
+    held: HeldCorners | None = None
+    corners: Corners
 
     def __init__(
         self, contact: RigidContact, displacement: DisplacementBasis, field: int = 0,
@@ -188,6 +187,8 @@ class ActiveRigidContact(ActiveContact):
             meets = (self.start.gap < rounding) & ~holds
         c = np.flatnonzero(near | holds | meets | (self.start.multiplier > 0.0))
         probe = self.contact.body.surface.probe(at[c])
+        if self.held is not None:
+            self.held.update(pose.forth(self.local_start) - self.corners.x)
         if meets.any():
             # a body that goes away lets go what it did not press
             meets[c] &= probe[0] < rounding[c]
@@ -236,16 +237,17 @@ class ActiveRigidContact(ActiveContact):
             return
         if not c.size:
             return
-        k = start.stiffness[c]
+        k, overlap = start.stiffness[c], overlap_of(self.held, c)
         found = [np.empty((c.size, *own.shape[1:])) for own in now.by_law]
         state = np.empty(c.size, np.int8)
         contact_forces(
-            *probe, at[c], self.local_start[c], start.tangential[c], start.multiplier[c], k,
-            law.slip_share * k, law.friction, start.limit[c], holds[c], *found, state,
+            *probe, at[c], self.local_start[c], start.tangential[c],
+            start.multiplier[c] - k * overlap, k, law.slip_share * k, law.friction, start.limit[c],
+            holds[c], *found, state,
         )  # fmt: skip
         for own, values in zip(now.by_law, found):
             own[c] = values
-        now.gap[c], now.states[c] = probe[0], state
+        now.gap[c], now.states[c] = probe[0] + overlap, state
         if self._explicit:
             found[0] -= explicit_reduction(probe[0], closing, found[2])[:, None] * probe[1]
             now.closed[c] = closing
@@ -265,13 +267,17 @@ class ActiveRigidContact(ActiveContact):
         middle = body.surface.probe(self.local_start[c] + 0.5 * path)[1:]
         found = [np.empty((c.size, *own.shape[1:])) for own in now.by_law]
         loss, state = np.empty(c.size), np.empty(c.size, np.int8)
+        overlap = overlap_of(self.held, c)
         mean_forces(
-            start.gap[c], *probe[:2], *middle, path, start.tangential[c], start.multiplier[c], k,
-            law.slip_share * k, law.friction, start.limit[c], *found, loss, state,
+            start.gap[c], *probe[:2], *middle, path, start.tangential[c],
+            start.multiplier[c] - k * overlap, k, law.slip_share * k, law.friction, start.limit[c],
+            *found, loss, state,
         )  # fmt: skip
+        if self.held is not None:
+            loss += self.held.released(c, start)
         for own, values in zip(now.by_law, found):
             own[c] = values
-        now.gap[c], now.states[c], now.loss[c] = probe[0], state, loss
+        now.gap[c], now.states[c], now.loss[c] = probe[0] + overlap, state, loss
         # the frame of the body in the middle of its rotation
         U, _, Vt = np.linalg.svd(0.5 * (body.start.rotation + body.pose.rotation))
         self._middle_rotation = U @ Vt
@@ -317,7 +323,7 @@ class ActiveRigidContact(ActiveContact):
 
         In axisymmetric problems they act on the whole circumference.
         """
-        moment = _cross(self.lever(), self.forces)
+        moment = moments(self.lever(), self.forces)
         both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])
         both = -self.contact.points.comm.allreduce(both, op=MPI.SUM)
         d = self.forces.shape[1]
@@ -341,6 +347,7 @@ class ActiveRigidContact(ActiveContact):
             (names.normal_force, now.normal),
             (names.stiffness, np.where(now.normal > 0.0, self.start.stiffness, 0.0)),
             (names.closing, now.closed),
+            *(self.held.at_end(names, now) if self.held else ()),
         ]
 
     def stored(self, before: bool = False) -> float:
@@ -349,13 +356,16 @@ class ActiveRigidContact(ActiveContact):
         Args:
             before: True for the energy at the end of the last step.
         """
-        law, k = self.contact.law, self.start.stiffness
-        normal = self.start.normal_force if before else self.now.normal
-        own = float(normal_energy(normal, k).sum())
-        if law.friction:
-            tangential = self.start.tangential if before else self.now.tangential
-            own += float(slip_energy(tangential, k, law.slip_share).sum())
+        start, now = self.start, self.now
+        normal = start.normal_force if before else now.normal
+        tangential = start.tangential if before else now.tangential
+        own = float(normal_energy(normal, start.stiffness).sum()) + self._slip_energy(tangential)
         return self.contact.points.comm.allreduce(own, op=MPI.SUM)
+
+    def _slip_energy(self, tangential: Array) -> float:
+        """Energy of elastic slip on this rank at some tangential forces (J)."""
+        law, k = self.contact.law, self.start.stiffness
+        return float(slip_energy(tangential, k, law.slip_share).sum()) if law.friction else 0.0
 
     def overlapping(self) -> float:
         """Energy of the penalties at the start of the step, by the gaps (J). Collective.
@@ -364,16 +374,14 @@ class ActiveRigidContact(ActiveContact):
         inside the corners.
         """
         start = self.start
-        q = start.multiplier - start.stiffness * start.gap
+        gap = start.gap if self.held is None else start.gap + self.held.before
+        q = start.multiplier - start.stiffness * gap
         own = float(normal_energy(q, start.stiffness).sum())
         return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
     def stored_at_start(self) -> float:
         """Energy of the penalties at the start of the step, also of slip (J). Collective."""
-        start, law = self.start, self.contact.law
-        slip = 0.0
-        if law.friction:
-            slip = float(slip_energy(start.tangential, start.stiffness, law.slip_share).sum())
+        slip = self._slip_energy(self.start.tangential)
         return self.overlapping() + self.contact.points.comm.allreduce(slip, op=MPI.SUM)
 
     def dissipated(self) -> float:
@@ -388,10 +396,3 @@ class ActiveRigidContact(ActiveContact):
             before = self.start.tangential[slips]
             done = float(slip_work(self.now.tangential[slips], before, slip, n, stiffness).sum())
         return self.contact.points.comm.allreduce(done, op=MPI.SUM)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Moments of forces b at arms a, shape (n, 1) in 2D, (n, 3) in 3D."""
-    if a.shape[1] == 3:
-        return np.asarray(np.cross(a, b), float)
-    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]

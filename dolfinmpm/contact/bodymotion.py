@@ -22,7 +22,15 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.givenmotion import Given, Load, vector
 from dolfinmpm.grid.constants import begin_at_zero
 
-__all__ = ["FreeMotion", "Motion", "Pose", "PrescribedMotion", "first_rate", "rotation_of"]
+__all__ = [
+    "FreeMotion",
+    "Motion",
+    "Pose",
+    "PrescribedMotion",
+    "first_rate",
+    "moments",
+    "rotation_of",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,6 +55,13 @@ def rotation_of(turn: Array, gdim: int) -> Array:
     # Rodrigues
     half = math.sin(0.5 * angle) / (0.5 * angle)
     return np.eye(3) + math.sin(angle) / angle * W + 0.5 * half**2 * W @ W
+
+
+def moments(arms: Array, forces: Array) -> Array:
+    """Moments of forces at arms, shape (n, 1) in 2D, (n, 3) in 3D."""
+    if arms.shape[1] == 3:
+        return np.asarray(np.cross(arms, forces), float)
+    return (arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0])[:, None]
 
 
 @dataclass(frozen=True)

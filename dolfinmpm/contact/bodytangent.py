@@ -31,10 +31,12 @@ def add_body_columns(contact: ActiveRigidContact, out: Array) -> None:
 def _by_motion(contact: ActiveRigidContact, active: Rows) -> Array:
     """Derivative of the forces on corners by the body's motion, shape (n, gdim, components)."""
     K, share = contact.derivative(active), _own_share(contact)
+    # the motion of the body that the corners must follow
+    by_body = K if contact.held is None else K @ contact.held.demanded(active)
     arm = cross_matrix(contact.x[active] - contact.contact.body.pose.centre)
     turned = share * cross_matrix(contact.forces[active])
-    by_turn = turned.transpose(0, 2, 1) - K @ arm.transpose(0, 2, 1)
-    return np.concatenate([-K, by_turn], axis=2)
+    by_turn = turned.transpose(0, 2, 1) - by_body @ arm.transpose(0, 2, 1)
+    return np.concatenate([-by_body, by_turn], axis=2)
 
 
 def add_body_rows(contact: ActiveRigidContact, by_x: Array, by_y: Array) -> None:

@@ -28,6 +28,7 @@ class CornerFields(NamedTuple):
         modulus: Young's modulus of the points in their first state (Pa).
         stiffness: Stiffness of touching corners (N/m).
         closing: Closing of the gaps of the corners in the last step (m).
+        overlap: Overlap of the corners that fixed nodes leave (m), see `HeldCorners`.
     """
 
     tangential_force: str
@@ -35,6 +36,7 @@ class CornerFields(NamedTuple):
     modulus: str
     stiffness: str
     closing: str
+    overlap: str
 
 
 class MarkerFields(NamedTuple):
@@ -91,7 +93,7 @@ class ContactForces:
         derivative: Derivatives of the forces by the positions (N/m), shape (m, gdim, gdim), in the
             frame of `tangential`.
         states: State of each point: FREE, STICKS, SLIPS or SHEARS, shape (m,).
-        gap: Gaps (m), shape (m,); infinite where no gap was computed.
+        gap: Gaps that make the forces (m), shape (m,); infinite where no gap was computed.
         path: Paths of the points in the step, in the frame of the body (m), shape (m,).
         loss: Work dissipated by friction (J), shape (m,).
         closed: Closing of the gaps in the step (m), shape (m,).

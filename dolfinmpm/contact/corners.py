@@ -42,7 +42,7 @@ from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradien
 from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_areas
 from dolfinmpm.cut.activation import ActiveField, Basis
 
-__all__ = ["ALL", "CornerLayout", "DisplacementBasis", "corner_count", "longest"]
+__all__ = ["ALL", "CornerLayout", "Corners", "DisplacementBasis", "corner_count", "longest"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]

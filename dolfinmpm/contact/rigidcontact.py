@@ -24,6 +24,7 @@ from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpoints import CornerFields
 from dolfinmpm.contact.corners import corner_count
+from dolfinmpm.contact.heldcorners import HeldCorners
 from dolfinmpm.contact.meanforces import MeanForceWeights, normal_energy, slip_energy
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activation import Activation
@@ -112,6 +113,7 @@ class RigidContact(Term):
         points.add_field(names.normal_force, (count,), "N")
         points.add_field(names.stiffness, (count,), "N/m")
         points.add_field(names.closing, (count,), "m")
+        points.add_field(names.overlap, (count,), "m")
         if self.law.stiffness is not None:
             return
         points.add_field(names.modulus, (), "Pa")
@@ -142,7 +144,11 @@ class RigidContact(Term):
 
     def on(self, here: Activation) -> ActiveRigidContact:
         """See `Term`. Collective."""
-        return ActiveRigidContact.on(self, here)
+        active = ActiveRigidContact.on(self, here)
+        # explicit steps take the forces at their start
+        if self.mean_weights is not None or not self.in_time:
+            active.held = HeldCorners.of(active, here)
+        return active
 
     def summary(self) -> str:
         """See `Term`."""

@@ -36,7 +36,7 @@ Events = dict[str, list[list[Array]]]
 _YIELD = "points start or stop to yield"
 _CROSS = "points cross a cell"
 # endings of names of fields whose sign tells whether a contact is closed
-_NOT_NEGATIVE = ("_normal_force", "_stiffness")
+_NOT_NEGATIVE = ("_normal_force", "_stiffness", "_overlap")
 _WALL = "markers of walls begin or end to touch or slip"
 
 

@@ -1,0 +1,117 @@
+"""A rigid body that moves along a fixed side of the grid."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+
+E, N, PUSH = 1e6, 4, 0.004  # Pa, cells per metre, m per step
+
+
+class Block:
+    """An elastic block of 2 m by `height`, in cells of a quarter of a metre."""
+
+    def __init__(self, height=1.0, basis="gimp"):
+        h = 1.0 / N
+        lines = [np.linspace(-2 * h, 2.0, 2 * N + 3), np.linspace(0.0, 1.0 + h, N + 2)]
+        grid = mpm.create_lattice(MPI.COMM_SELF, lines)
+        box = mpm.Box((0, 0), (2, height))
+        self.points = mpm.fill(grid, box, per_cell=2, density=1000.0)
+        self.space = mpm.Space(grid, basis)
+        law = mpm.materials.Hencky(E, 0.3)
+        self.form = mpm.momentum(law, self.points, self.space.increment, self.space.test)
+
+    def problem(self, body, penalty, bcs):
+        u, v = self.space.increment, self.space.test
+        F = self.form + mpm.contact(body, self.points, u, v, penalty=penalty)
+        return mpm.QuasiStatic(F, u, self.points, bcs, stabilisation="ghost")
+
+    @property
+    def overlap(self):
+        return self.points["contact1_overlap"].max()
+
+
+def pushed(penalty, basis):
+    block, way = Block(basis=basis), [PUSH]
+    body = mpm.RigidBody(mpm.Plane((0, 0), (1, 0)), increment=lambda t: (way[0], 0.0))
+    bcs = mpm.fixed(block.space, "bottom") + mpm.rollers(block.space, "right")
+    return block, block.problem(body, penalty, bcs), body, way
+
+
+@pytest.mark.parametrize("basis", ["gimp", "linear", "bspline2"])
+def test_force_on_a_wall_does_not_grow_with_the_penalty(basis):
+    forces = []
+    for penalty in (200.0, 2000.0):
+        _, problem, body, _ = pushed(penalty, basis)
+        for _ in range(3):
+            problem.step()
+        forces.append(-body.force[0])
+    # the corner of a conforming block in cells of this size carries as much
+    assert 0.0 < forces[1] < 1.2 * forces[0]
+    assert forces[1] < 3e4
+
+
+def test_wall_that_goes_back_leaves_nothing_behind():
+    block, problem, body, way = pushed(20.0, "gimp")
+    for _ in range(2):
+        problem.step()
+    # the lowest corners stand for 1/8 of a cell, and move by an eighth of their motion or less
+    assert 0.8 * 2 * PUSH < block.overlap < 2 * PUSH
+    way[0] = -PUSH
+    for _ in range(3):
+        problem.step()
+    assert abs(body.force[0]) < 1e-6 * E
+    assert block.overlap == 0.0
+
+
+def test_base_that_moves_with_the_wall_holds_nothing():
+    block = Block()
+    body = mpm.RigidBody(mpm.Plane((0, 0), (1, 0)), increment=(PUSH, 0.0))
+    bcs = mpm.prescribed(block.space, "bottom", 0, increment=PUSH)
+    problem = block.problem(body, 20.0, bcs + mpm.prescribed(block.space, "bottom", 1))
+    for _ in range(2):
+        problem.step()
+    assert block.overlap < 1e-12
+    assert abs(body.force[0]) < 1e-6 * E
+
+
+def test_plate_presses_a_layer_thinner_than_a_cell():
+    height = 0.5 / N
+    block = Block(height)
+    body = mpm.RigidBody(mpm.Plane((0, height), (0, -1)), increment=(0.0, -PUSH))
+    problem = block.problem(body, 2000.0, mpm.fixed(block.space, "bottom"))
+    for _ in range(3):
+        problem.step()
+    assert block.overlap == 0.0
+    assert block.points["F"][:, 1, 1].mean() == pytest.approx(1 - 3 * PUSH / height, rel=0.02)
+
+
+def test_free_wall_finds_balance():
+    block = Block()
+    body = mpm.RigidBody(
+        mpm.Box((-0.5, -0.25), (0, 1.2)), mass=100.0, inertia=10.0, free=(True, False, False),
+        force=(2000.0, 0.0),
+    )  # fmt: skip
+    bcs = mpm.fixed(block.space, "bottom") + mpm.rollers(block.space, "right")
+    problem = block.problem(body, 20.0, bcs)
+    assert problem.step().iterations <= 8
+    assert block.overlap > 0.0
+    assert body.force[0] == pytest.approx(-2000.0, rel=1e-6)
+
+
+def test_wall_in_time_keeps_account_of_the_energy():
+    block, T = Block(), 2.0
+    block.points.add_field("velocity", (2,), "m/s")
+    u, v = block.space.increment, block.space.test
+    body = mpm.RigidBody(mpm.Plane((0, 0), (1, 0)), velocity=(3 * PUSH / T, 0.0))
+    F = block.form + mpm.contact(body, block.points, u, v, penalty=20.0)
+    bcs = mpm.fixed(block.space, "bottom") + mpm.rollers(block.space, "right")
+    problem = mpm.GeneralisedAlpha(F, u, block.points, bcs, stabilisation="ghost", rho_inf=0.5)
+    for k in range(20):
+        problem.step(T * (k + 1) / 20)
+    energies = problem.energies()
+    # without overlap it is twice as much, and 20 times as much with a hundredfold penalty
+    assert 0.0 < energies.external < 100.0
+    assert abs(energies["integrator"]) < 0.01 * energies.external
+    assert energies["friction"] > 0.0
