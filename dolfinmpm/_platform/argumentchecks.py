@@ -8,7 +8,7 @@ import math
 import numbers
 import operator
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,8 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 __all__ = [
-    "Tags", "array_of", "as_tags", "at_time", "check_function", "check_kind",
-    "check_takes", "choice", "coordinates", "cut",
+    "Tags", "array_of", "as_tags", "at_time", "check_dictionary", "check_function", "check_kind",
+    "check_names", "check_takes", "choice", "coordinates", "cut",
     "file_path", "floats", "is_endless", "number", "refuse_idle", "shown", "truth", "whole",
 ]  # fmt: skip
 
@@ -65,6 +65,34 @@ def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
     """
     if not isinstance(value, kind):
         raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")
+
+
+def check_dictionary(what: str, value: Any, kind: str, *, some: bool = False) -> None:
+    """Raise ParameterError unless a value is a dictionary, and has entries if `some`.
+
+    Args:
+        what: Name of the argument.
+        value: The argument.
+        kind: Names and values of the dictionary, as text for the message.
+        some: Whether it must not be empty.
+    """
+    if not isinstance(value, Mapping) or (some and not value):
+        raise ParameterError(f"{what} = {shown(value)} must be a dictionary{kind}")
+
+
+def check_names(what: str, names: Iterable[str], known: Iterable[str], of: str) -> None:
+    """Raise ParameterError if an argument has a name that is not known.
+
+    Args:
+        what: Name of the argument.
+        names: The names that it has.
+        known: The known names.
+        of: What has the known names, with its verb, as text for the message.
+    """
+    listed = list(known)
+    for name in names:
+        if name not in listed:
+            raise ParameterError(f"{what} has '{name}', and {of} {', '.join(listed)}")
 
 
 def check_function(what: str, value: Any, kind: str = "", *arguments: Any) -> None:
