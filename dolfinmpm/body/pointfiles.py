@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.argumentchecks import shown, text_of, truth
+from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
+from dolfinmpm._platform.filepaths import text_of
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.meshfiles import read_mesh
 from dolfinmpm.body.pointchecks import require_grid

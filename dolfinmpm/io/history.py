@@ -10,7 +10,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.argumentchecks import check_dictionary, check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_dictionary, check_kind, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     LocalValueWarning,
@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     warn,
 )
+from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm._platform.html import table
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.figures import check_size, figure
