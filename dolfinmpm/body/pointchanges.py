@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
+from dolfinmpm.body.childvalues import surfaces
 from dolfinmpm.body.energychanges import counted
 from dolfinmpm.body.loadbalance import redistributed
 from dolfinmpm.body.overlapchecks import check_room_of_both
@@ -128,8 +129,7 @@ def remove(points: MaterialPoints, where: Any, tag: Any) -> PointChange:
 
 def _faces(points: MaterialPoints) -> dict[str, float]:
     """Areas of the surfaces of the points by name (m^(d-1)). Collective."""
-    names = sorted(n.removesuffix("_area") for n in points.fields if n.endswith("_area"))
-    names = [name for name in names if f"{name}_offset" in points.fields]
+    names = sorted(surfaces(points.fields))
     here = [float(np.abs(points.fields.read(f"{name}_area")).sum()) for name in names]
     if not names:
         return {}

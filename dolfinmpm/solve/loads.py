@@ -13,6 +13,7 @@ from mpi4py import MPI
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
+from dolfinmpm._platform.argumentchecks import cut
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
 from dolfinmpm.assembly.state import OfCells
 from dolfinmpm.cut.essentialconditions import EssentialConditions
@@ -213,8 +214,7 @@ def _where(item: Any, form: ufl.Form) -> str:
             terms = [*terms[0].ufl_operands, *terms[1:]]
         for term in terms:
             if any(item is c for c in (*extract_constants(term), *extract_coefficients(term))):
-                text = str(term)
-                return f" in the term '{text if len(text) <= 200 else text[:197] + '...'}'"
+                return f" in the term '{cut(str(term))}'"
     return ""
 
 
