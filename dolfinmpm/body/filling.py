@@ -258,8 +258,6 @@ def _whole_parts(grid: Mesh, parts: Parts, shape: Shape):
 
 
 def _trimmed(parts: LatticeParts, shape: Box):
-    assert shape.low is not None
-    assert shape.high is not None
     low, high = parts.low, parts.high
     # a gap from rounding between a face of the box and a face of a part is no overlap
     slack = _SLIVER * (high - low)
@@ -289,8 +287,6 @@ def _divide_box(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
         raise ParameterError(
             f'aligned="body" needs a Box or a TurnedBox, got {type(shape).__name__}'
         )
-    assert box.low is not None
-    assert box.high is not None
     lines = []
     for low, high, size in zip(box.low, box.high, lattice.spacing):
         number = max(1, round((high - low) / (size / n)))

@@ -175,6 +175,12 @@ class RigidBody(ReadOnce):
         return self.surface.gdim
 
     @property
+    def free_motion(self) -> FreeMotion:
+        """Its free components; of bodies that have some."""
+        assert self.freedom is not None
+        return self.freedom
+
+    @property
     def force(self) -> Array:
         """Force of the material points on it (N; N/m in plane strain), shape (gdim,)."""
         return self._force

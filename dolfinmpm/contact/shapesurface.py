@@ -283,8 +283,6 @@ def _polygon(vertices: Array, fillet: float) -> RigidSurface:
 def _box(shape: Box | TurnedBox, fillet: float) -> RigidSurface:
     box = shape.box if isinstance(shape, TurnedBox) else shape
     low, high = box.low, box.high
-    assert low is not None
-    assert high is not None
     if not 2 <= low.size <= 3:
         raise ParameterError("a rigid box has two or three coordinates")
     if not np.all(high - low > 2 * fillet):

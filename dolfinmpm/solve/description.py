@@ -79,8 +79,8 @@ def summary(problem: Problem) -> str:
         problem: The problem.
     """
     form, points = problem.form, problem.points
-    space = "axisymmetry" if points.axisymmetric else f"{points.gdim} dimensions"
-    lines = [f"{type(problem).__name__}: {points.total} points in {space}"]
+    where = "axisymmetry" if points.axisymmetric else f"{points.gdim} dimensions"
+    lines = [f"{type(problem).__name__}: {points.total} points in {where}"]
     for k, field in enumerate(problem.fields):
         space, of = field.space, field.space.increment.ufl_shape
         kind = "displacement" if of == (points.gdim,) else f"field of shape {of}"

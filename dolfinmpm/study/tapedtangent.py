@@ -369,8 +369,7 @@ def factor(linear: LinearSolver, operator: Operator) -> None:
     while True:
         try:
             linear.attach(operator)
-            assert linear.matrix is not None
-            operator.tangent(linear.matrix)
+            linear.take_tangent(operator)
             linear.solve(np.zeros(operator.here.unknowns.owned))
             if not linear.stuck:
                 return
