@@ -257,8 +257,9 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
         ones = mass.createVecRight()
         ones.set(1.0)
         mass.mult(ones, sums)
-        mass = PETSc.Mat().createDiagonal(sums)
-        mass.convert("aij")
+        # PETSc's diagonal matrices lose their values when several ranks convert them
+        mass = PETSc.Mat().createAIJ(mass.getSizes(), nnz=1, comm=mass.comm)
+        mass.setDiagonal(sums)
     return _step_of(_eigenvalue([stiffness, mass], []))
 
 
