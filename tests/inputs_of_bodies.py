@@ -51,7 +51,7 @@ INPUTS = {
         "is a body in 3D, the points are in 2D",
     "mpm.Wedge((0, 0), -30, 1.0)": "semi_angle = -30 degrees must be above 0 and below",
     "mpm.Wedge((0, 0), 30, 0)": "height = 0 m must be above 0",
-    "mpm.Wedge((0, 0, 0), 30, 1.0)": "tip = (0, 0, 0) must be a point in 2D",
+    "mpm.Wedge((0, 0, 0), 30, 1.0)": "tip = (0, 0, 0) must be 2 finite numbers (m)",
     "mpm.Wedge((0, 0), nan, 1.0)": "semi_angle = nan degrees must be above 0 and below",
     # -- rigid bodies and contact
     'mpm.RigidBody("disc")': "shape = 'disc' is no shape, and no file of a mesh,",

@@ -35,7 +35,7 @@ INPUTS = {
         "must have 3 values True or False",
     "points_at(s, rho=np.datetime64('2020-01-01'))": "density should be numbers of shape (2,), got",
     "soil(s, gravity=np.ma.masked_array([0.0, -9.8], [False, True]))":
-        "gravity = nan must be finite",
+        "must be 2 finite numbers (m/s²)",
     "s.top.traction(np.ma.masked_array([0.0, 1.0], [False, True]), s.v)":
         "traction[1] = nan must be finite",
     "s.top.traction(b'ab', s.v)": "traction = a bytes must be numbers, such as (0.0, 1.0)",

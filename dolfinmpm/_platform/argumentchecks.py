@@ -7,9 +7,7 @@ import inspect
 import math
 import numbers
 import operator
-import os
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,9 +16,10 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 __all__ = [
-    "Tags", "array_of", "as_tags", "at_time", "check_function", "check_kind",
-    "check_takes", "choice", "coordinates", "cut",
-    "file_path", "floats", "is_endless", "number", "refuse_idle", "shown", "truth", "whole",
+    "Tags", "array_of", "as_tags", "at_time", "check_dictionary", "check_function", "check_kind",
+    "check_names", "check_takes", "choice", "coordinates", "cut",
+    "floats", "is_endless", "nearest", "number", "refuse_idle", "shown", "truth", "vector",
+    "whole",
 ]  # fmt: skip
 
 Tags = tuple[int, ...] | None
@@ -28,6 +27,8 @@ Tags = tuple[int, ...] | None
 
 # Number of words that a message lists at most
 _MOST = 12
+# Bound of motions, loads and places: their squares are numbers
+_LARGEST = 1e100
 # Largest whole number of an argument: those of NumPy and C end there
 _MOST_WHOLE = 2**63 - 1
 
@@ -65,6 +66,34 @@ def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
     """
     if not isinstance(value, kind):
         raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")
+
+
+def check_dictionary(what: str, value: Any, kind: str, *, some: bool = False) -> None:
+    """Raise ParameterError unless a value is a dictionary, and has entries if `some`.
+
+    Args:
+        what: Name of the argument.
+        value: The argument.
+        kind: Names and values of the dictionary, as text for the message.
+        some: Whether it must not be empty.
+    """
+    if not isinstance(value, Mapping) or (some and not value):
+        raise ParameterError(f"{what} = {shown(value)} must be a dictionary{kind}")
+
+
+def check_names(what: str, names: Iterable[str], known: Iterable[str], of: str) -> None:
+    """Raise ParameterError if an argument has a name that is not known.
+
+    Args:
+        what: Name of the argument.
+        names: The names that it has.
+        known: The known names.
+        of: What has the known names, with its verb, as text for the message.
+    """
+    listed = list(known)
+    for name in names:
+        if name not in listed:
+            raise ParameterError(f"{what} has '{name}', and {of} {', '.join(listed)}")
 
 
 def check_function(what: str, value: Any, kind: str = "", *arguments: Any) -> None:
@@ -228,6 +257,21 @@ def per_direction(what: str, given: Any, directions: int) -> npt.NDArray[np.floa
     return np.array(np.broadcast_to(values, (directions,)))
 
 
+def vector(what: str, given: Any, size: int, unit: str = "") -> npt.NDArray[np.float64]:
+    """A given number of finite numbers as an array, shape (size,).
+
+    Raises:
+        ParameterError: The values are not finite numbers, or their number is wrong.
+    """
+    found = floats(given, truths=False)
+    values = np.empty(0) if found is None else np.atleast_1d(found)
+    if values.shape != (size,) or not np.all(np.abs(values) < _LARGEST):
+        raise ParameterError(
+            f"{what} = {shown(given)} must be {size} finite numbers{unit and f' ({unit})'}"
+        )
+    return values
+
+
 def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
     """Numbers as an array of any shape; the caller checks the shape. Masked values become nan.
 
@@ -291,6 +335,20 @@ def truth(what: str, value: Any, *words: str) -> bool:
     return bool(value)
 
 
+def nearest(given: Any, known: Iterable[str], quote: str = "", least: float = 0.6) -> str:
+    """Question at the end of a message about an unknown word, or nothing if no word is near.
+
+    Args:
+        given: The unknown word, or something else.
+        known: The known words.
+        quote: Mark before and after the known word.
+        least: Least similarity (-).
+    """
+    words = known if isinstance(given, str) else ()
+    near = difflib.get_close_matches(given, words, 1, least)
+    return f"; did you mean {quote}{near[0]}{quote}?" if near else ""
+
+
 def _plain(word: str) -> str:
     """A word without differences of spelling."""
     plain = word.lower().replace("_", "-").replace(" ", "-")
@@ -318,35 +376,10 @@ def choice(what: str, value: Any, known: Iterable[str]) -> str:
         for word in words:
             if _plain(word) == _plain(value):
                 return word
-    near = difflib.get_close_matches(value, words, 1) if isinstance(value, str) else []
-    hint = f'; did you mean "{near[0]}"?' if near else ""
     listed = ", ".join(f'"{word}"' for word in words[:_MOST])
     listed += ", ..." if len(words) > _MOST else ""
+    hint = nearest(value, words, '"')
     raise ParameterError(f"{what} = {shown(value)} must be one of {listed}{hint}")
-
-
-def file_path(what: str, value: Any) -> Path:
-    """An argument as a path.
-
-    Raises:
-        ParameterError: The argument is neither text nor a path.
-    """
-    if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
-        raise ParameterError(f"{what} = {shown(value)} must be a path, such as 'output/name'")
-    return Path(value)
-
-
-def text_of(what: str, value: Any) -> str:
-    """Text of a file in UTF-8, without a byte order mark. Other bytes become "�".
-
-    Raises:
-        ParameterError: The argument is neither text nor a path.
-        FileNotFoundError: There is no such file.
-    """
-    file = file_path(what, value)
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no file {file}")
-    return file.read_text(encoding="utf-8-sig", errors="replace")
 
 
 def as_tags(tag: Any) -> Tags:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import sys
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import nearest, shown
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 
 __all__ = ["ReadList", "ReadOnce"]
@@ -59,9 +58,7 @@ class ReadOnce:
         for name in names:
             if name in cls._arguments:
                 continue
-            near = difflib.get_close_matches(name, cls._arguments, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            hint = f": {hints[name]}" if name in hints else hint
+            hint = f": {hints[name]}" if name in hints else nearest(name, cls._arguments)
             raise ParameterError(f"{cls.__name__} has no argument {name}{hint}")
 
     def __init_subclass__(cls, **options: Any):
@@ -86,9 +83,9 @@ class ReadOnce:
         # Python calls this only for missing attributes
         if name.startswith("_"):
             raise AttributeError(name)
-        near = difflib.get_close_matches(name, [n for n in dir(type(self)) if n[0] != "_"], 1)
-        hint = self._elsewhere.get(name) or (f"did you mean {near[0]}?" if near else "")
-        raise UnknownNameError(f"{type(self).__name__} has no {name}{hint and f': {hint}'}")
+        elsewhere, known = self._elsewhere.get(name), (n for n in dir(type(self)) if n[0] != "_")
+        hint = f": {elsewhere}" if elsewhere else nearest(name, known)
+        raise UnknownNameError(f"{type(self).__name__} has no {name}{hint}")
 
     def _refuse_new(self, name: str) -> None:
         """Raise ParameterError if the user sets a result, or a name similar to an argument.
@@ -102,11 +99,10 @@ class ReadOnce:
         found = getattr(kind, name, None)
         if callable(found) or (isinstance(found, property) and found.fset is None):
             raise ParameterError(f"{name} is a result of {self._called()}; it cannot be set")
-        near = difflib.get_close_matches(name, kind._arguments, 1, 0.8)
+        near = nearest(name, kind._arguments, least=0.8)
         if found is None and near:
             raise ParameterError(
-                f"{self._called()} has no argument {name}, and setting it has no effect; "
-                f"did you mean {near[0]}?"
+                f"{self._called()} has no argument {name}, and setting it has no effect{near}"
             )
 
     def _called(self) -> str:

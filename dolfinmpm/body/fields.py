@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from dolfinmpm._platform.argumentchecks import floats, shown
+from dolfinmpm._platform.argumentchecks import floats, nearest, shown
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError
 from dolfinmpm.grid.userfunctions import call_function
 
@@ -153,5 +152,4 @@ def no_field(name: Any, known: Iterable[str]) -> str:
         return f"{text}. The displacement is points['x'] - points['x0']"
     if name in _MAKERS:
         return f"{text}. {_MAKERS[name]}; or add it before that with points.add_field"
-    near = difflib.get_close_matches(name, listed, 1) if isinstance(name, str) else []
-    return f"{text}; did you mean '{near[0]}'?" if near else text
+    return text + nearest(name, listed, "'")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import number, shown, truth
+from dolfinmpm._platform.argumentchecks import choice, number, shown, truth, whole
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -121,7 +121,7 @@ def fill(
     (40, 0.625)
     """
     require_grid(grid)
-    _check_arguments(shape, per_cell, aligned, tag)
+    aligned = _check_arguments(shape, per_cell, aligned, tag)
     # numbers of few bits would overflow
     per_cell = int(per_cell)
     check_per_cell(per_cell, grid.geometry.dim)
@@ -181,22 +181,17 @@ def _numbers(comm: MPI.Intracomm, key: Numbers) -> Numbers:
     return numbers_in_order(comm, first[:, None])[own] + (key[:, 1] << ROOT_BITS)
 
 
-def _check_arguments(shape: Any, per_cell: Any, aligned: Any, tag: Any) -> None:
+def _check_arguments(shape: Any, per_cell: Any, aligned: Any, tag: Any) -> str:
+    """Check arguments of `fill`; returns the word for `aligned`."""
     if not isinstance(shape, Shape):
         hint = {
             True: "join bodies of points with +: fill(grid, a, ...) + fill(grid, b, ...)",
             False: "use mpm.Box, Ball, Polygon or Where(condition), joined with |, & and -",
         }[isinstance(shape, MaterialPoints)]
         raise ParameterError(f"fill takes one shape, got a {type(shape).__name__}; {hint}")
-    if isinstance(per_cell, bool) or not isinstance(per_cell, (int, np.integer)) or per_cell < 1:
-        raise ParameterError(
-            f"per_cell = {per_cell!r} must be a whole number of at least 1: the number of points "
-            "per cell and direction, such as 2 for 2² points per square"
-        )
-    if aligned not in ("grid", "body"):
-        raise ParameterError(f'aligned = {aligned!r} must be "grid" or "body"')
-    if not isinstance(tag, (int, np.integer)) or not 0 <= tag <= np.iinfo(np.int32).max:
-        raise ParameterError(f"tag = {tag!r} must be a whole number of at least 0")
+    whole("per_cell", per_cell, 1, math.inf)
+    whole("tag", tag, 0, np.iinfo(np.int32).max)
+    return choice("aligned", aligned, ("grid", "body"))
 
 
 def _check_inside(grid: Mesh, shape: Shape, axisymmetric: bool) -> None:
@@ -263,8 +258,6 @@ def _whole_parts(grid: Mesh, parts: Parts, shape: Shape):
 
 
 def _trimmed(parts: LatticeParts, shape: Box):
-    assert shape.low is not None
-    assert shape.high is not None
     low, high = parts.low, parts.high
     # a gap from rounding between a face of the box and a face of a part is no overlap
     slack = _SLIVER * (high - low)
@@ -294,8 +287,6 @@ def _divide_box(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
         raise ParameterError(
             f'aligned="body" needs a Box or a TurnedBox, got {type(shape).__name__}'
         )
-    assert box.low is not None
-    assert box.high is not None
     lines = []
     for low, high, size in zip(box.low, box.high, lattice.spacing):
         number = max(1, round((high - low) / (size / n)))

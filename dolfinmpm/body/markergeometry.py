@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import floats, number, shown
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -31,6 +31,7 @@ from dolfinmpm.body.contours import (
 )
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.markerturns import check_crossings, check_turns
+from dolfinmpm.body.surfacechecks import numbers_of
 from dolfinmpm.grid.lattice import Lattice, largest_cell, lattice_of, smallest_height
 from dolfinmpm.grid.userfunctions import call_function
 
@@ -75,9 +76,7 @@ def revolved(points: Any, x: Array, area: Array) -> tuple[Array, Array]:
 
 def rows_of(d: int, x: Any, area: Any) -> tuple[Array, Array]:
     """Positions and area vectors as arrays, checked."""
-    made = []
-    for what, values in (("x", x), ("area", area)):
-        made.append(corners_of(what, values, d))
+    made = [corners_of(what, values, d) for what, values in (("x", x), ("area", area))]
     if len(made[0]) != len(made[1]):
         raise FieldShapeError(
             f"x has {len(made[0])} rows and area {len(made[1])}; give one row per marker"
@@ -146,9 +145,7 @@ def corners_of(what: str, values: Any, d: int) -> Array:
         FieldShapeError: The argument has another shape, or is no array of numbers.
         ParameterError: A value is not finite.
     """
-    given = floats(values)
-    if given is None:
-        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers")
+    given = numbers_of(what, values)
     if given.size == 0:
         return np.empty((0, d))
     if given.ndim != 2 or given.shape[1] != d:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinmpm._platform.argumentchecks import file_path
+from dolfinmpm._platform.filepaths import existing_file
 
 __all__ = ["read_mesh"]
 
@@ -25,10 +25,8 @@ def read_mesh(path: Any) -> Any:
     """
     import meshio
 
-    file = file_path("mesh", path)
     # meshio ends the interpreter where a file is not there
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no file {file}")
+    file = existing_file("mesh", path)
     said = io.StringIO()
     try:
         # its reader of Gmsh's files prints empty lines, and why a file is none

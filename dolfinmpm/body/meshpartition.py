@@ -14,6 +14,7 @@ from dolfinmpm._platform.argumentchecks import coordinates
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import adjacency_list
 from dolfinmpm._platform.errors import ImbalanceWarning, ParameterError, raise_together, warn
+from dolfinmpm.body.loadbalance import imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Shape
 from dolfinmpm.grid.lattice import lattice_of
@@ -168,9 +169,9 @@ def _destinations(
 def warn_of_imbalance(points: MaterialPoints) -> None:
     """Warn where points on a mesh that is no lattice are spread badly. Collective."""
     comm, total = points.comm, points.total
-    if comm.size == 1 or total == 0 or lattice_of(points.grid) is not None:
+    if lattice_of(points.grid) is not None:
         return
-    most = comm.allreduce(len(points), op=MPI.MAX) * comm.size / total
+    most = imbalance(points)
     if most > SPREAD:
         warn(
             comm,

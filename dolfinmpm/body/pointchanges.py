@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import array_of, as_tags
+from dolfinmpm._platform.argumentchecks import as_tags
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     IdleConditionWarning,
@@ -19,11 +18,12 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
+from dolfinmpm.body.childvalues import surfaces
 from dolfinmpm.body.energychanges import counted
 from dolfinmpm.body.loadbalance import redistributed
 from dolfinmpm.body.overlapchecks import check_room_of_both
 from dolfinmpm.body.tags import check_in_use
-from dolfinmpm.grid.userfunctions import choose
+from dolfinmpm.grid.userfunctions import booleans
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
@@ -128,8 +128,7 @@ def remove(points: MaterialPoints, where: Any, tag: Any) -> PointChange:
 
 def _faces(points: MaterialPoints) -> dict[str, float]:
     """Areas of the surfaces of the points by name (m^(d-1)). Collective."""
-    names = sorted(n.removesuffix("_area") for n in points.fields if n.endswith("_area"))
-    names = [name for name in names if f"{name}_offset" in points.fields]
+    names = sorted(surfaces(points.fields))
     here = [float(np.abs(points.fields.read(f"{name}_area")).sum()) for name in names]
     if not names:
         return {}
@@ -158,28 +157,9 @@ def _changed(points: MaterialPoints) -> None:
 def _chosen(points: MaterialPoints, where: Any, tag: Any) -> npt.NDArray[np.bool_]:
     if (where is None) == (tag is None):
         raise ParameterError("remove takes either `where` or `tag`, and one of them")
-    n = len(points)
     if tag is not None:
         return np.isin(points["tag"], as_tags(tag) or ())
-    if isinstance(where, Callable):  # type: ignore[arg-type]
-        where = choose("where", where, points["x"])
-    chosen = array_of("where", where)
-    if chosen.dtype != bool:
-        raise ParameterError(
-            f"`where` should be or give booleans, got {_named(where, chosen)}; compare "
-            'positions, as in points["x"][:, 1] > 2.0, or take a shape, shape.contains(points["x"])'
-        )
-    if chosen.shape != (n,):
-        raise FieldShapeError(
-            f"`where` should be {n} booleans, one for each point of this rank, got the shape "
-            f"{chosen.shape}"
-        )
-    return chosen
-
-
-def _named(where: Any, chosen: Array) -> str:
-    """What was given in place of booleans."""
-    return type(where).__name__ if chosen.dtype == object else str(chosen.dtype)
+    return booleans("where", where, points["x"])
 
 
 def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import array_of, choice, number, shown
+from dolfinmpm._platform.argumentchecks import choice, number
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
-    FieldShapeError,
     ParameterError,
     PointsOutsideGridError,
     call_together,
@@ -26,7 +25,7 @@ from dolfinmpm.body.familyids import ancestors_of, deepest, levels_of, parents_o
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.siblingvalues import Siblings, adjacent, alike, parent_values
-from dolfinmpm.grid.userfunctions import choose
+from dolfinmpm.grid.userfunctions import booleans
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
@@ -158,7 +157,7 @@ def split(
     check_points(points)
     comm = points.comm
     keep = choice("outside", outside, ("raise", "keep")) == "keep"
-    chosen = call_together(comm, lambda: _booleans("which", points, which))
+    chosen = call_together(comm, lambda: booleans("which", which, points["x"]))
     raise_together(comm, _too_deep(points, chosen))
     born = children(points, np.flatnonzero(chosen))
     lost = _lost(points, born.x0 if points.configuration == "total" else born.x)
@@ -232,7 +231,7 @@ def merge(
     comm, d = points.comm, points.gdim
     tolerance = number("tolerance", tolerance, 0.0)
     given = np.ones(len(points), bool) if allowed is None else allowed
-    ready = call_together(comm, lambda: _booleans("allowed", points, given))
+    ready = call_together(comm, lambda: booleans("allowed", given, points["x"]))
     ready &= levels_of(points["id"], d) > 0
     rows, gathered = _complete(points, np.flatnonzero(ready))
     siblings = _in_order(points, gathered)
@@ -302,25 +301,6 @@ def _in_order(points: MaterialPoints, gathered: Fields) -> Siblings:
     return Siblings(
         points, {name: a[order].reshape(shape + a.shape[1:]) for name, a in gathered.items()}
     )
-
-
-def _booleans(what: str, points: MaterialPoints, given: Any) -> Chosen:
-    """Booleans for the points of this rank."""
-    n = len(points)
-    if callable(given):
-        return choose(what, given, points["x"])
-    chosen = np.array(array_of(what, given))
-    if chosen.dtype != bool and chosen.size:
-        raise ParameterError(
-            f"{what} = {shown(given)} must be booleans, or a function of positions that gives "
-            f"booleans, got {chosen.dtype}"
-        )
-    if chosen.shape != (n,):
-        raise FieldShapeError(
-            f"{what} should be {n} booleans, one for each point of this rank, got the shape "
-            f"{chosen.shape}"
-        )
-    return chosen.astype(bool)
 
 
 def _too_deep(points: MaterialPoints, chosen: Chosen) -> ParameterError | None:

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.argumentchecks import shown, text_of, truth
+from dolfinmpm._platform.argumentchecks import choice, shown, truth, whole
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
+from dolfinmpm._platform.filepaths import text_of
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.meshfiles import read_mesh
 from dolfinmpm.body.pointchecks import require_grid
@@ -148,10 +149,8 @@ def from_mesh(
     """Arguments of `MaterialPoints.from_arrays`; see `MaterialPoints.from_mesh`. Collective."""
     require_grid(grid)
     gdim = grid.geometry.dim
-    if points not in ("quadrature", "centres"):
-        raise ParameterError(f'points = {points!r} must be "quadrature" or "centres"')
-    if not isinstance(degree, (int, np.integer)) or degree < 1:
-        raise ParameterError(f"degree = {degree!r} must be a whole number of at least 1")
+    points = choice("points", points, ("quadrature", "centres"))
+    whole("degree", degree, 1)
     truth("axisymmetric", axisymmetric)
 
     def read() -> dict[str, Any]:

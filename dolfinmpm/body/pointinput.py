@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import array_of, floats, shown, truth
+from dolfinmpm._platform.argumentchecks import array_of, check_dictionary, floats, shown, truth
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -156,10 +155,7 @@ def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: 
 def _further(fields, at: Array) -> Rows:
     """Further fields of points at positions (m), shape (n, gdim), checked."""
     n, rows = len(at), {}
-    if not isinstance(fields, Mapping):
-        raise ParameterError(
-            f"fields = {shown(fields)} must be a dictionary, such as {{'velocity': v}}"
-        )
+    check_dictionary("fields", fields, ", such as {'velocity': v}")
     for name, values in fields.items():
         if name in _RESERVED:
             raise ParameterError(

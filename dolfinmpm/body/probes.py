@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import shown, vector
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
@@ -89,7 +89,7 @@ class Probe:
     def __init__(self, points: MaterialPoints, place: npt.ArrayLike):
         check_points(points)
         self.points = points
-        self.place = _position(points, place)
+        self.place = call_together(points.comm, lambda: vector("place", place, points.gdim, "m"))
         self._find()
 
     def _find(self) -> None:
@@ -213,24 +213,6 @@ class Probe:
 
     def __repr__(self) -> str:
         return f"the probe at {self.place.tolist()} m"
-
-
-def _position(points: MaterialPoints, place: Any) -> Array:
-    """The place as an array, the same on all ranks. Collective."""
-
-    def checked() -> Array:
-        try:
-            given = np.asarray(place)
-            given = given.astype(float, casting="same_kind")
-        except (TypeError, ValueError):
-            given = np.empty(0)
-        if given.shape != (points.gdim,) or not np.isfinite(given).all():
-            raise ParameterError(
-                f"place = {shown(place)} must be a position (m), {points.gdim} finite numbers"
-            )
-        return given
-
-    return call_together(points.comm, checked)
 
 
 def _chosen(d: Array, x: Array, least: float, count: int, most: int) -> npt.NDArray[np.intp]:

@@ -12,14 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import (
-    coordinates,
-    file_path,
-    number,
-    per_direction,
-    text_of,
-)
+from dolfinmpm._platform.argumentchecks import coordinates, number, per_direction, vector
 from dolfinmpm._platform.errors import MissingPackageError, ParameterError
+from dolfinmpm._platform.filepaths import existing_file, text_of
 
 __all__ = ["Raster", "raster_of_array", "read_raster", "refuse_marks", "windowed"]
 
@@ -60,9 +55,7 @@ def read_raster(path: Any) -> Raster:
             bands, or its unit is no metre.
         MissingPackageError: The file is no ASCII grid, and rasterio is not installed.
     """
-    file = file_path("raster", path)
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no file {file}")
+    file = existing_file("raster", path)
     return _ascii(file) if file.suffix.lower() in _TEXT else _by_rasterio(file)
 
 
@@ -198,9 +191,7 @@ def raster_of_array(raster: Any, spacing: Any, corner: Any) -> Raster:
     size = per_direction("spacing", spacing, 2)
     for one in size:
         number("spacing", float(one), 0.0, unit="m")
-    low = coordinates("corner", corner)
-    if low.shape != (2,) or not np.isfinite(low).all():
-        raise ParameterError(f"corner = {corner} must be two finite coordinates (m)")
+    low = vector("corner", corner, 2, "m")
     x, y = (a + h * np.arange(n) for a, h, n in zip(low, size, z.shape[::-1]))
     return Raster(x, y, z.T.copy())
 

@@ -161,6 +161,9 @@ class Box(Shape):
     8.0
     """
 
+    low: Array
+    high: Array
+
     def __init__(self, low: float | Sequence[float], high: float | Sequence[float]):
         lower, upper = (
             np.atleast_1d(coordinates(what, at)) for what, at in (("low", low), ("high", high))
@@ -200,8 +203,6 @@ class TurnedBox(Shape):
 
     def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
         self.box = Box(low, high)
-        assert self.box.low is not None
-        assert self.box.high is not None
         if len(self.box.low) < 2:
             raise ParameterError(f"a turned box needs 2 or 3 coordinates, got {low}")
         angle = in_radians("angle", angle)

@@ -22,7 +22,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import check_function, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -109,11 +109,8 @@ class Surface(Uncopied):
         name: str | None = None,
     ):
         check_points(points)
-        if not callable(where):
-            raise ParameterError(
-                f"where = {shown(where)} must be a function of the positions of faces, such as "
-                "lambda x: np.isclose(x[-1], 1.0)"
-            )
+        kind = "of the positions of faces, such as lambda x: np.isclose(x[-1], 1.0)"
+        check_function("where", where, kind)
         n = axis_of(normal, points.gdim)
         if lattice_of(points.grid) is None:
             raise UnsupportedGridError(

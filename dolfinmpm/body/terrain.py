@@ -15,6 +15,7 @@ from dolfinmpm._platform.argumentchecks import (
     coordinates,
     number,
     shown,
+    vector,
     whole,
 )
 from dolfinmpm._platform.errors import ParameterError
@@ -130,9 +131,7 @@ class Terrain:
         if window is not None:
             found = windowed(found, window)
         refuse_marks(found)
-        shift = coordinates("origin", origin)
-        if shift.shape != (2,) or not np.isfinite(shift).all():
-            raise ParameterError(f"origin = {origin} must be two finite coordinates (m)")
+        shift = vector("origin", origin, 2, "m")
         return cls((found.x - shift[0], found.y - shift[1]), found.z)
 
     def from_boreholes(

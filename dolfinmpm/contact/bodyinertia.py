@@ -49,8 +49,7 @@ def inertial_forces(
         Forces and moments (N, N m), shape (components,), and their derivatives by the increments,
         shape (components, components).
     """
-    free = body.freedom
-    assert free is not None
+    free = body.free_motion
     V, A = (np.where(_flags(body), values, 0.0) for values in motion)
     pose = body.at(share)
     M = free.inertia(pose)
@@ -76,8 +75,7 @@ def find_acceleration(body: RigidBody, force: Array, afresh: bool) -> None:
         afresh: Whether a load jumps, so that the acceleration differs from the end of the last
             step.
     """
-    free = body.freedom
-    assert free is not None
+    free = body.free_motion
     if free.mass is None or (free.acceleration is not None and not afresh):
         return
     size, own = free.increment.size, free.free
@@ -99,8 +97,7 @@ def accelerate(body: RigidBody, force: Array, kick: float) -> None:
         force: Force and moment at the start of the step (N, N m), shape (components,).
         kick: Time during which they act (s).
     """
-    free = body.freedom
-    assert free is not None
+    free = body.free_motion
     before = free.velocity.copy()
     find_acceleration(body, force, True)
     assert free.acceleration is not None
@@ -122,8 +119,7 @@ def _turned_on(body: RigidBody, spin: Array, impulse: Array, last: float) -> Arr
         impulse: Moment times the time of its action (N m s), likewise.
         last: Length of the last step (s); 0 at the start of a run.
     """
-    free = body.freedom
-    assert free is not None
+    free = body.free_motion
 
     def inertia(turn: Array) -> Array:
         rotation = rotation_of(turn, 3) @ body.start.rotation
@@ -146,8 +142,7 @@ def _turned_on(body: RigidBody, spin: Array, impulse: Array, last: float) -> Arr
 
 def _flags(body: RigidBody) -> npt.NDArray[np.bool_]:
     """Whether each component is free, shape (components,)."""
-    free = body.freedom
-    assert free is not None
+    free = body.free_motion
     flags = np.zeros(free.velocity.size, bool)
     flags[free.free] = True
     return flags

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.argumentchecks import at_time, coordinates, floats, number, shown
+from dolfinmpm._platform.argumentchecks import at_time, coordinates, floats, number, shown, vector
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.givenmotion import Given, Load, vector
+from dolfinmpm.contact.givenmotion import Given, Load
 from dolfinmpm.grid.constants import begin_at_zero
 
 __all__ = [

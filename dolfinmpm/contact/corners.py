@@ -22,7 +22,6 @@ touches with its middle.
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -36,6 +35,7 @@ from dolfinmpm.basis.facestencils import in_domains
 from dolfinmpm.basis.gimp import update_domains
 from dolfinmpm.basis.stencils import Stencils, selected, stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
+from dolfinmpm.body.familyids import side_signs
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradient
@@ -53,11 +53,6 @@ ALL = slice(None)
 _ROUNDING = 1e-12
 # Part of a half-length by which sheared material is beyond its domain
 _SHEARED = 1e-6
-
-
-def _signs(gdim: int) -> Array:
-    """Corners of a unit domain, shape (2^gdim, gdim)."""
-    return np.array(list(itertools.product((-1.0, 1.0), repeat=gdim)))
 
 
 def corner_count(gdim: int, surface: Surface | None) -> int:
@@ -166,7 +161,7 @@ class CornerLayout:
         )
         flows = displacement.domains != "stretch"
         self._keeps_axes = own and flows and displacement.growth is None
-        signs = _signs(points.gdim)
+        signs = side_signs(points.gdim)
         self.which: Rows = np.arange(1 if self._by_middle else len(signs))
         if surface is not None and surface.normal is not None:
             self.which = np.flatnonzero(signs @ surface.normal > 0)
@@ -217,7 +212,7 @@ class CornerLayout:
         else:
             ahead = 2.0 * np.abs(along) * (points["l"][rows] if self.boxes else half)
             ahead *= places_on_faces(along) if self.on_faces else 1.0
-            areas = slip_areas(half, normal, _signs(points.gdim)[corners.which], ahead, gap)
+            areas = slip_areas(half, normal, side_signs(points.gdim)[corners.which], ahead, gap)
         if not points.axisymmetric:
             return areas
         radius = points["x"][rows, 0] if gap is None else np.maximum(corners.x[:, 0], 0.0)
@@ -238,7 +233,7 @@ class CornerLayout:
         which = np.tile(self.which, rows.size)
         each = np.repeat(rows, self.which.size)
         if self.boxes:
-            how = _signs(points.gdim)[which]
+            how = side_signs(points.gdim)[which]
             x = points["x"][each] + how * points["l"][each]
         else:
             x, how = self._material_positions(each, which)
@@ -273,7 +268,7 @@ class CornerLayout:
         elif not self.boxes:
             normal = np.einsum("pij,pi->pj", self._F[each], normal)
         share = places_on_faces(normal)
-        R = _signs(points.gdim)[which] * share
+        R = side_signs(points.gdim)[which] * share
         x, half = points["x"][each], points["l"][each]
         if self.boxes:
             r = R * half
@@ -327,12 +322,12 @@ class CornerLayout:
         points = self._points
         if self._keeps_axes:
             half = update_domains(self._F[each], points["l0"][each], self._displacement.domains)
-            r = _signs(points.gdim)[which] * half
+            r = side_signs(points.gdim)[which] * half
             return points["x"][each] + r, r
         if self._surface is not None and self._by_middle:
             R = points[self._surface.offset.name][each]
         else:
-            R = _signs(points.gdim)[which] * points["l0"][each]
+            R = side_signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)
         # gradients at initial positions need initial offsets
         return points["x"][each] + r, R if self._displacement.total else r

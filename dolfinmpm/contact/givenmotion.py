@@ -10,14 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.argumentchecks import at_time, cut, floats, shown
+from dolfinmpm._platform.argumentchecks import at_time, cut, vector
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["Given", "Load", "vector"]
+__all__ = ["Given", "Load"]
 
 Array = npt.NDArray[np.float64]
-# Bound of motions, loads and places: their squares are numbers
-_LARGEST = 1e100
 
 
 class Given:
@@ -84,16 +82,3 @@ class Load(Given):
         if callable(given):
             return vector(f"{self._name}({t:g})", at_time(self._name, given, t), self._size)
         return np.asarray(given)
-
-
-def vector(what: str, given: Any, size: int) -> Array:
-    """A given number of finite numbers as an array, shape (size,).
-
-    Raises:
-        ParameterError: The values are not finite numbers, or their number is wrong.
-    """
-    found = floats(given, truths=False)
-    values = np.empty(0) if found is None else np.atleast_1d(found)
-    if values.shape != (size,) or not np.all(np.abs(values) < _LARGEST):
-        raise ParameterError(f"{what} = {shown(given)} must be {size} finite numbers")
-    return values

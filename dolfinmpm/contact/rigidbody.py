@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown, vector
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.contact.bodymotion import (
@@ -23,7 +23,6 @@ from dolfinmpm.contact.bodymotion import (
     first_rate,
     rotation_of,
 )
-from dolfinmpm.contact.givenmotion import vector
 from dolfinmpm.contact.shapesurface import surface_of
 from dolfinmpm.contact.surfaces import RigidSurface, middle_of
 from dolfinmpm.contact.tunnelling import half_thickness, travelled
@@ -174,6 +173,12 @@ class RigidBody(ReadOnce):
     def gdim(self) -> int:
         """Dimension of space."""
         return self.surface.gdim
+
+    @property
+    def free_motion(self) -> FreeMotion:
+        """Its free components; of bodies that have some."""
+        assert self.freedom is not None
+        return self.freedom
 
     @property
     def force(self) -> Array:

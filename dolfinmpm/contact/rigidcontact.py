@@ -61,6 +61,8 @@ class RigidContact(Term):
     ):  # fmt: skip
         self.body, self.points, self.u = body, points, u
         self.surface, self.material, self.tags, self.law = surface, material, tags, law
+        # slip makes the tangent unsymmetric
+        self.symmetric = not law.friction
         self._cell: float | None = None
         first = f"contact{self._number()}"
         self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
@@ -83,11 +85,6 @@ class RigidContact(Term):
         return int(known[own])
 
     kind, definite, fusable = "contact", False, True
-
-    @property
-    def symmetric(self) -> bool:  # type: ignore[override]
-        """See `Term`: slip makes the tangent unsymmetric."""
-        return not self.law.friction
 
     @property
     def loads(self) -> list[Any]:

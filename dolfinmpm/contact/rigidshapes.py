@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dolfinmpm._platform.argumentchecks import coordinates, number
+from dolfinmpm._platform.argumentchecks import coordinates, number, vector
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import in_radians
 from dolfinmpm.body.shapes import Polygon, Shape
@@ -65,9 +65,7 @@ class Wedge(Polygon):
     def __init__(self, tip: Sequence[float], semi_angle: float, height: float):
         slope = math.tan(in_radians("semi_angle", semi_angle, 0.0, 90.0))
         number("height", height, 0.0, 1e100, unit="m")
-        at, reach = coordinates("tip", tip), height * slope
-        if at.shape != (2,):
-            raise ParameterError(f"tip = {tip} must be a point in 2D")
+        at, reach = vector("tip", tip, 2, "m"), height * slope
         self.tip, self.semi_angle = at, float(semi_angle)
         x, y = float(at[0]), float(at[1])
         super().__init__([(x, y), (x + reach, y + height), (x - reach, y + height)])

@@ -31,11 +31,6 @@ Facet = npt.NDArray[np.int64]
 _SAME = 1e-6
 
 
-def is_mesh(shape: Any) -> bool:
-    """Whether a shape is a file or a `meshio.Mesh`."""
-    return isinstance(shape, (str, os.PathLike)) or type(shape).__module__.startswith("meshio")
-
-
 def mesh_surface(mesh: Any) -> FacetedSurface:
     """The surface of a mesh of triangles, or in the plane of segments.
 
@@ -246,7 +241,7 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
             f"shape = {shown(shape)} is no shape, and no file of a mesh, whose name has an ending: "
             "give a shape such as mpm.Disc((0, 1), 0.5)"
         )
-    if is_mesh(shape):
+    if isinstance(shape, (str, os.PathLike)) or type(shape).__module__.startswith("meshio"):
         surface = mesh_surface(shape)
         return filleted(surface, fillet) if fillet else surface
     raise ParameterError(
@@ -288,8 +283,6 @@ def _polygon(vertices: Array, fillet: float) -> RigidSurface:
 def _box(shape: Box | TurnedBox, fillet: float) -> RigidSurface:
     box = shape.box if isinstance(shape, TurnedBox) else shape
     low, high = box.low, box.high
-    assert low is not None
-    assert high is not None
     if not 2 <= low.size <= 3:
         raise ParameterError("a rigid box has two or three coordinates")
     if not np.all(high - low > 2 * fillet):

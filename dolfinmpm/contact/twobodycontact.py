@@ -48,6 +48,8 @@ class TwoBodyContact(Term):
 
     def __init__(self, boundaries: tuple[Boundary, Boundary], u: tuple[Any, Any], law: ContactLaw):
         self.boundaries, self.u, self.law = boundaries, u, law
+        # slip makes the tangent unsymmetric
+        self.symmetric = not law.friction
         self.stiffness: float = 0.0 if law.stiffness is None else law.stiffness
         counter = self.points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         self.name = f"contact{next(counter)}"
@@ -55,11 +57,6 @@ class TwoBodyContact(Term):
         self.names = MarkerFields(*(f"{self.name}_{part}" for part in MarkerFields._fields))
 
     kind, layers = "contact", LAYERS
-
-    @property
-    def symmetric(self) -> bool:  # type: ignore[override]
-        """See `Term`: slip makes the tangent unsymmetric."""
-        return not self.law.friction
 
     @property
     def sides(self) -> Sequence[tuple[Boundary, Any]]:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.contact.shapesurface import surface_of
@@ -74,13 +75,9 @@ def near(
     >>> fine.wanted(np.array([[0.9, 0.0], [4.0, 0.0]]), np.array([[1.1, 0.2], [4.1, 0.1]])).round(2)
     array([0.1 , 1.29])
     """
-    if not isinstance(body, RigidBody):
-        raise ParameterError(f"body = {shown(body)} must be a mpm.RigidBody")
+    check_kind("body", body, RigidBody, "make it with mpm.RigidBody(shape)")
     number("size", size, 0.0, unit="m")
-    if reach is None:
-        reach = 4 * size
-    elif number("reach", reach, unit="m") < 0:
-        raise ParameterError(f"reach = {reach:g} m must not be negative")
+    reach = 4 * size if reach is None else number("reach", reach, 0.0, unit="m", closed=True)
     surface = body.surface if part is None else surface_of(part, 0.0)
     if surface.gdim != body.surface.gdim:
         raise ParameterError(
@@ -152,8 +149,7 @@ def where_it_yields(
     >>> problem.adapt().split
     48
     """
-    if not isinstance(points, MaterialPoints):
-        raise ParameterError(f"points = {shown(points)} must be material points")
+    check_points(points)
     number("size", size, 0.0, unit="m")
     number("least", least)
     check_kind("field", field, str, "the name of a field of the points")

@@ -7,15 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import (
-    choice,
-    coordinates,
-    number,
-    shown,
-    text_of,
-    whole,
-)
+from dolfinmpm._platform.argumentchecks import choice, coordinates, number, shown, whole
 from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError, warn
+from dolfinmpm._platform.filepaths import text_of
 from dolfinmpm.grid.userfunctions import VelocityByTime
 
 __all__ = ["InputMotion"]

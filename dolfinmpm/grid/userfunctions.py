@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import at_time, cut, floats, number, shown
-from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
+from dolfinmpm._platform.argumentchecks import array_of, at_time, cut, floats, number, shown
+from dolfinmpm._platform.errors import DolfinMPMError, FieldShapeError, ParameterError
 
-__all__ = ["VelocityByTime", "call_function", "choose"]
+__all__ = ["VelocityByTime", "booleans", "call_function", "choose"]
 
 Array = npt.NDArray[np.float64]
 
@@ -102,6 +102,30 @@ def choose(what: str, function: Callable[[Array], Any], x: Array) -> npt.NDArray
             f"{values.dtype} of shape {values.shape}; compare coordinates, as in x[0] < 1"
         )
     return values
+
+
+def booleans(what: str, given: Any, x: Array) -> npt.NDArray[np.bool_]:
+    """Booleans for positions (m), shape (n,), from an array or a function; see `choose`.
+
+    Raises:
+        ParameterError: They are no booleans, or the function fails.
+        FieldShapeError: There are not n of them.
+    """
+    if callable(given):
+        return choose(what, given, x)
+    chosen = np.array(array_of(what, given))
+    if chosen.dtype != bool and chosen.size:
+        raise ParameterError(
+            f"{what} = {shown(given)} must be booleans, got {chosen.dtype}: compare positions, as "
+            'in points["x"][:, 1] > 2.0, take a shape, shape.contains(points["x"]), or give a '
+            "function of positions"
+        )
+    if chosen.shape != (len(x),):
+        raise FieldShapeError(
+            f"{what} should be {len(x)} booleans, one for each point of this rank, got the shape "
+            f"{chosen.shape}"
+        )
+    return chosen.astype(bool)
 
 
 class VelocityByTime:

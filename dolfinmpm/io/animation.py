@@ -17,9 +17,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_kind, choice, file_path, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm.basis.refinement import leaves_on
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import choice, file_path, number, shown
+from dolfinmpm._platform.argumentchecks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.filepaths import file_path
 
 __all__ = ["LOOK", "check_picture", "check_size", "figure", "save", "two_numbers"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_dictionary, check_kind, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     LocalValueWarning,
@@ -20,6 +19,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     warn,
 )
+from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm._platform.html import table
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.figures import check_size, figure
@@ -184,11 +184,11 @@ class History:
         >>> curve.plot(f"{tempfile.mkdtemp()}/load.png", "t", "load", labels={"t": "time (s)"})
         """
         check_size(size)
-        if labels is not None and not isinstance(labels, Mapping):
-            raise ParameterError(f"labels = {shown(labels)} must be a dictionary, name → text")
-        for name in labels or ():
+        labels = {} if labels is None else labels
+        check_dictionary("labels", labels, ", name → text")
+        for name in labels:
             self[name]
-        texts = {**{name: name.replace("_", " ") for name in self.names}, **(labels or {})}
+        texts = {name: name.replace("_", " ") for name in self.names} | dict(labels)
         drawn = y or tuple(name for name in self.names if name != x)
         if not drawn:
             raise ParameterError(f"there is nothing to draw over {x!r}; record another number")

@@ -11,9 +11,10 @@ import numpy as np
 from dolfinx import fem
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.argumentchecks import file_path, number, shown, truth
+from dolfinmpm._platform.argumentchecks import number, shown, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_on_root, call_together
+from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm.basis.refinement import leaves_on, refinements_on
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.argumentchecks import check_dictionary, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.tables import Row, rows_of
 
@@ -114,11 +114,7 @@ def draw_convergence(
     from matplotlib.ticker import NullLocator
 
     _check_axes(axes)
-    if not isinstance(curves, Mapping) or not curves:
-        raise ParameterError(
-            f"curves = {shown(curves)} must be a dictionary, such as "
-            '{"linear": study.convergence(...)}'
-        )
+    check_dictionary("curves", curves, ', such as {"linear": study.convergence(...)}', some=True)
     curves = {label: rows_of(rows, "h", key) for label, rows in curves.items()}
     if not isinstance(orders, (list, tuple)):
         raise ParameterError(f"orders = {shown(orders)} must be slopes, such as (1, 2)")

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_kind, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_on_root, call_together
+from dolfinmpm._platform.filepaths import file_path
 
 __all__ = [
     "check_suffix",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
 from collections import UserDict
@@ -14,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import nearest, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.grid.userfunctions import call_function
 
@@ -281,8 +280,6 @@ def _refuse_unknown(law: str, given: Iterable[str], known: list[str]) -> None:
     """Raise ParameterError for arguments that a law does not have."""
     for name in given:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
             raise ParameterError(
-                f"{law} has no argument {name}{f'; did you mean {near[0]}?' if near else ''}; it "
-                f"has {', '.join(known)}"
+                f"{law} has no argument {name}{nearest(name, known)}; it has {', '.join(known)}"
             )

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from ufl.algorithms.ad import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.argumentchecks import check_dictionary
 from dolfinmpm._platform.compat import jit_expression
 from dolfinmpm._platform.errors import FormError, ParameterError, StateError
 from dolfinmpm.forms.pointwise import Program, compile_here, input_numbers
@@ -105,12 +105,10 @@ class EnergyWithYield(Law):
         if HARDENING in _names(energy):
             raise ParameterError(f"EnergyWithYield: an energy must not depend on {HARDENING}")
         names.pop(HARDENING, None)
-        if ranges is not None and not isinstance(ranges, Mapping):
-            raise ParameterError(
-                f"EnergyWithYield: ranges = {shown(ranges)} must be a dictionary, name → Parameter"
-            )
-        self.parameters = {name: (ranges or {}).get(name, Parameter("")) for name in names}
-        unknown = set(ranges or {}) - set(names)
+        ranges = {} if ranges is None else ranges
+        check_dictionary("EnergyWithYield: ranges", ranges, ", name → Parameter")
+        self.parameters = {name: ranges.get(name, Parameter("")) for name in names}
+        unknown = set(ranges) - set(names)
         if unknown:
             raise ParameterError(
                 f"EnergyWithYield: ranges of unknown parameters {', '.join(sorted(unknown))}; "

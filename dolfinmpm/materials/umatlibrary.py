@@ -19,7 +19,6 @@ from typing import Any
 from dolfinx import jit
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import file_path
 from dolfinmpm._platform.errors import (
     MissingPackageError,
     ParameterError,
@@ -27,6 +26,7 @@ from dolfinmpm._platform.errors import (
     call_on_root,
     call_together,
 )
+from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm.materials.umatshim import INCLUDE, SHIM
 
 __all__ = ["UmatLibrary", "open_umat"]

@@ -84,71 +84,64 @@ __attribute__((weak)) void xit_(void)
 }}
 
 /* What gfortran makes of STOP and of some errors; in the process that tries a UMAT they end it */
-static void stopped(int code)
+static void failed(int code, const char *where, const char *format, va_list values)
 {{
     if (inside)
         longjmp(place, 1);
+    if (where)
+        fprintf(stderr, "%s\\n", where);
+    vfprintf(stderr, format, values);
+    fprintf(stderr, "\\n");
     fflush(stderr);
     _exit(code);
 }}
 
+static void stopped(int code, const char *format, ...)
+{{
+    va_list values;
+    va_start(values, format);
+    failed(code, NULL, format, values);
+}}
+
 void _gfortran_stop_string(const char *text, size_t length, _Bool quiet)
 {{
-    if (!inside)
-        fprintf(stderr, "STOP %.*s\\n", (int)length, text ? text : "");
-    stopped(0);
+    stopped(0, "STOP %.*s", (int)length, text ? text : "");
 }}
 
 void _gfortran_error_stop_string(const char *text, size_t length, _Bool quiet)
 {{
-    if (!inside)
-        fprintf(stderr, "ERROR STOP %.*s\\n", (int)length, text ? text : "");
-    stopped(1);
+    stopped(1, "ERROR STOP %.*s", (int)length, text ? text : "");
 }}
 
 void _gfortran_stop_numeric(int code, _Bool quiet)
 {{
-    if (!inside)
-        fprintf(stderr, "STOP %d\\n", code);
-    stopped(code);
+    stopped(code, "STOP %d", code);
 }}
 
 void _gfortran_error_stop_numeric(int code, _Bool quiet)
 {{
-    if (!inside)
-        fprintf(stderr, "ERROR STOP %d\\n", code);
-    stopped(code ? code : 1);
-}}
-
-static void failed(const char *where, const char *format, va_list values)
-{{
-    if (!inside) {{
-        fprintf(stderr, "%s\\n", where);
-        vfprintf(stderr, format, values);
-        fprintf(stderr, "\\n");
-    }}
-    stopped(2);
+    stopped(code ? code : 1, "ERROR STOP %d", code);
 }}
 
 void _gfortran_runtime_error_at(const char *where, const char *format, ...)
 {{
     va_list values;
     va_start(values, format);
-    failed(where, format, values);
+    failed(2, where, format, values);
 }}
 
 void _gfortran_os_error_at(const char *where, const char *format, ...)
 {{
     va_list values;
     va_start(values, format);
-    failed(where, format, values);
+    failed(2, where, format, values);
 }}
 
 void _gfortran_runtime_error(const char *format, ...)
 {{
     va_list values;
     va_start(values, format);
-    failed("error at run time", format, values);
+    failed(2, "error at run time", format, values);
 }}
 
 __attribute__((weak)) void stdb_abqerr_(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import floats, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, floats, number, shown, vector
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.formarguments import check_displacement, check_increment, check_test
 from dolfinmpm.body.points import MaterialPoints, PointField
@@ -50,8 +50,7 @@ def unknowns(points: MaterialPoints, fields: Any, tests: Any) -> tuple[Any, Any,
 def fluid_of(fluid: Any) -> Fluid:
     """The fluid, water by default."""
     fluid = Fluid() if fluid is None else fluid
-    if not isinstance(fluid, Fluid):
-        raise ParameterError(f"fluid = {shown(fluid)} must be a dolfinmpm.Fluid")
+    check_kind("fluid", fluid, Fluid, "give dolfinmpm.Fluid()")
     return fluid
 
 
@@ -171,12 +170,7 @@ def gravity_of(gravity: Any, points: MaterialPoints) -> Any:
                 f"gravity has shape {gravity.ufl_shape} and must be a vector of {points.gdim}"
             )
         return gravity
-    components = floats(gravity, truths=False)
-    if components is None or components.shape != (points.gdim,):
-        raise ParameterError(
-            f"gravity = {shown(gravity)} must be a vector of {points.gdim} components (m/s²)"
-        )
-    return own_constant(points.grid, [number("gravity", float(c)) for c in components])
+    return own_constant(points.grid, vector("gravity", gravity, points.gdim, "m/s²"))
 
 
 def suction_of(suction: Any, points: MaterialPoints) -> Any:

@@ -19,6 +19,7 @@ from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import (
+    check_dictionary,
     check_function,
     check_kind,
     choice,
@@ -234,10 +235,7 @@ def check_updates(updates: Any, points: MaterialPoints) -> dict[str, Expr]:
     """
     if updates is None:
         return {}
-    if not isinstance(updates, Mapping):
-        raise ParameterError(
-            f"updates = {shown(updates)} must be a dictionary, field name → UFL expression"
-        )
+    check_dictionary("updates", updates, ", field name → UFL expression")
     for name, expression in updates.items():
         if not isinstance(name, str) or name not in points.fields:
             raise UnknownNameError(
@@ -273,11 +271,7 @@ def check_petsc_options(options: Any, prefix: Any, comm: MPI.Comm) -> dict[str, 
         raise ParameterError(f"options_prefix = {shown(prefix)} must be a word, such as 'mpm_'")
     if options is None:
         return {}
-    if not isinstance(options, Mapping):
-        raise ParameterError(
-            f"petsc_options = {shown(options)} must be a dictionary, such as "
-            '{"ksp_type": "cg", "pc_type": "gamg"}'
-        )
+    check_dictionary("petsc_options", options, ', such as {"ksp_type": "cg", "pc_type": "gamg"}')
     for name, value in options.items():
         if not isinstance(name, str) or not name or name.startswith("-"):
             raise ParameterError(

@@ -133,8 +133,6 @@ class Bordered:
     ) -> str | None:
         """Iterate from the border's guess; returns the reason of a failure, or None. Collective."""
         newton, border, x = self.newton, self.border, outcome.x
-        matrix = newton.linear.matrix
-        assert matrix is not None
         balance = ConvergenceTest(newton.tolerance, newton.max_iterations)
         balance.motion, outcome.residuals = motion, balance.residuals
         comm = operator.here.unknowns.comm
@@ -151,7 +149,7 @@ class Bordered:
                     return border.unmet
             elif reason != Reason.ITERATING:
                 return name_of(reason)
-            operator.tangent(matrix)
+            newton.linear.take_tangent(operator)
             b = newton.linear.solve(-found.values)
             slopes = border.slopes(x)
             A = np.column_stack([newton.linear.solve(-column) for column in slopes.T])

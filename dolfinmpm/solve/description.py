@@ -79,7 +79,8 @@ def summary(problem: Problem) -> str:
         problem: The problem.
     """
     form, points = problem.form, problem.points
-    lines = [f"{type(problem).__name__}: {points.total} points in {_dimension(points)}"]
+    where = "axisymmetry" if points.axisymmetric else f"{points.gdim} dimensions"
+    lines = [f"{type(problem).__name__}: {points.total} points in {where}"]
     for k, field in enumerate(problem.fields):
         space, of = field.space, field.space.increment.ufl_shape
         kind = "displacement" if of == (points.gdim,) else f"field of shape {of}"
@@ -127,10 +128,6 @@ def _condition(condition: Condition) -> str:
     else:
         value = f"{condition.value:g}" if np.ndim(condition.value) == 0 else "values by node"
     return f"component {condition.component} at '{condition.where}': {value}"
-
-
-def _dimension(points: Any) -> str:
-    return "axisymmetry" if points.axisymmetric else f"{points.gdim} dimensions"
 
 
 def _basis(space: Any) -> str:

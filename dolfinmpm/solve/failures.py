@@ -177,11 +177,11 @@ def _jump_of_load(bodies: Sequence[RigidBody]) -> str:
         bodies: The free bodies.
     """
     for body in bodies:
-        assert body.freedom is not None
-        if not body.freedom.loads_by_functions:
+        if not body.free_motion.loads_by_functions:
             continue
-        end, d = body.freedom.external(body.time + body.dt), body.gdim
-        change, free = np.abs(end + np.concatenate([body.force, body.moment])), body.freedom.free
+        end, d = body.free_motion.external(body.time + body.dt), body.gdim
+        change = np.abs(end + np.concatenate([body.force, body.moment]))
+        free = body.free_motion.free
         for part in (free[free < d], free[free >= d]):
             if np.any(change[part] > _JUMP * np.abs(end[part]).max(initial=0.0)):
                 return (
@@ -214,8 +214,7 @@ def _missing_support(
         if touches and "singular" not in reason:
             continue
         what = "nothing touches it" if not touches else "contact does not hold it in all of them"
-        assert body.freedom is not None
-        free = ", ".join(str(c) for c in body.freedom.free)
+        free = ", ".join(map(str, body.free_motion.free))
         return (
             f"'{body.name}' is free in the components {free} of its motion, {what}, and without "
             "inertia nothing else carries its load: begin where it rests on the points, give the "

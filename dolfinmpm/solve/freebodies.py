@@ -98,8 +98,7 @@ class FreeBodies:
     def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
         """The bodies keep their motion, and the points' increments are zero. Collective."""
         for body in self._bodies:
-            free = body.freedom
-            assert free is not None
+            free = body.free_motion
             free.increment = np.zeros_like(free.increment)
             if self.inertial is not None and free.acceleration is not None:
                 guess = body.dt * free.velocity + 0.5 * body.dt**2 * free.acceleration
@@ -112,8 +111,7 @@ class FreeBodies:
         """See `Border`. Collective."""
         at = 0
         for body in self._bodies:
-            free = body.freedom
-            assert free is not None
+            free = body.free_motion
             n = free.free.size
             free.increment[free.free] += change[at : at + n] / self._level
             at += n
@@ -122,8 +120,8 @@ class FreeBodies:
     @property
     def value(self) -> Array:
         """See `Border`: the increments at the level of balance, body by body."""
-        free = [body.freedom for body in self._bodies]
-        return np.concatenate([self._level * f.increment[f.free] for f in free])  # type: ignore
+        free = [body.free_motion for body in self._bodies]
+        return np.concatenate([self._level * f.increment[f.free] for f in free])
 
     def _columns(self, nodal: Array, field: int) -> Array:
         """Entries of nodal forces at the owned unknowns, by columns. Collective.
@@ -149,7 +147,7 @@ class FreeBodies:
         """See `Border`. Collective."""
         found = []
         for body in self._bodies:
-            size, free = body.freedom.increment.size, body.freedom.free  # type: ignore[union-attr]
+            size, free = body.free_motion.increment.size, body.free_motion.free
             total: Any = 0.0
             for contact in self._contacts(body):
                 shape = self._operator.increments[contact.field].shape
@@ -165,8 +163,7 @@ class FreeBodies:
         weight = 1.0 if self.inertial is None else self.inertial.weight
         comm = self._operator.here.unknowns.comm
         for body in self._bodies:
-            free = body.freedom
-            assert free is not None
+            free = body.free_motion
             size, own = free.increment.size, free.free
             by_x: Any = 0.0
             by_y: Array = np.zeros((size, size))
@@ -230,8 +227,7 @@ def _block_diagonal(blocks: Sequence[Array]) -> Array:
 def check_masses(bodies: RigidBodies) -> None:
     """Raise ParameterError unless every free body has a mass."""
     for body in bodies.free:
-        assert body.freedom is not None
-        if body.freedom.mass is None:
+        if body.free_motion.mass is None:
             raise ParameterError(
                 f"'{body.name}' is free and has no mass; steps in time need mass = ... (kg) and "
                 "inertia = ... (kg m²)"

@@ -15,7 +15,7 @@ from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.kinematics.deposits import Deposit
 from dolfinmpm.kinematics.lawterms import set_stress
-from dolfinmpm.solve.initialbalance import equilibrate
+from dolfinmpm.solve.initialbalance import check_undeformed, equilibrate
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
 __all__ = ["start_at_rest"]
@@ -87,10 +87,7 @@ def start_at_rest(
     declarations = problem.form.parts.declarations
     if not declarations:
         raise ParameterError("the problem has no law that could take a stress: add mpm.momentum")
-    F = points["F"]
-    moved = float(np.abs(F - np.eye(F.shape[1])).max(initial=0.0))
-    if points.comm.allreduce(moved, op=MPI.MAX) > 0.0:
-        raise ParameterError("the points have been deformed: start before the first step")
+    check_undeformed(points, "start the ground")
     stress: Callable[[Any], Array] = ground.stress
     x = points["x"].T
     below = call_together(points.comm, lambda: bool(x.size and np.any(ground.stress(x))))

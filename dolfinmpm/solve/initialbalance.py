@@ -16,7 +16,7 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.body.boundary import OWN
-from dolfinmpm.body.points import GHOST_FACETS
+from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.stabilisations import Stabilisation
@@ -89,14 +89,7 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
         )
     number("tolerance", tolerance, 0.0), whole("most", most, 1)
     points = problem.points
-    F = points["F"]
-    moved = float(np.abs(F - np.eye(F.shape[1])).max(initial=0.0))
-    moved = points.comm.allreduce(moved, op=MPI.MAX)
-    if moved > 0:
-        raise ParameterError(
-            f"the points have been deformed, by F − I of {moved:.3g}; bring a body into balance "
-            "before its first step"
-        )
+    check_undeformed(points, "bring a body into balance")
     before = len(problem.history)
     out = _out_of_balance(problem)
     if out > tolerance:
@@ -125,6 +118,17 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
         f"after {most} steps the force out of balance is {out:.3g} of external forces and "
         f"reactions (tolerance {tolerance:g}): {advice}"
     )
+
+
+def check_undeformed(points: MaterialPoints, what: str) -> None:
+    """Raise ParameterError if points have been deformed; `what` is for the message. Collective."""
+    F = points["F"]
+    moved = float(np.abs(F - np.eye(F.shape[1])).max(initial=0.0))
+    moved = points.comm.allreduce(moved, op=MPI.MAX)
+    if moved > 0:
+        raise ParameterError(
+            f"the points have been deformed, by F − I of {moved:.3g}; {what} before its first step"
+        )
 
 
 def _steps(problem: QuasiStatic, tolerance: float, most: int) -> float:

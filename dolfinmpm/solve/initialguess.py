@@ -70,8 +70,8 @@ class InitialGuess:
         self.length = 1.0
         # steps before the next trial, and after the next guess without use
         self._wait, self._next = 0, 1
-        # iterations of the last solution from zero increments
-        self._plain = 2
+        # iterations of the last solution from zero increments; a guess does not save a single one
+        self.plain = 2
         # per field, in the last step and in the step before, and the lengths of these steps
         self._last: list[_Kept] = []
         self._former: list[_Kept] = []
@@ -81,10 +81,6 @@ class InitialGuess:
         # ranks of the nodes
         self._partition: Partition | None = None
 
-    def record_iterations(self, iterations: int) -> None:
-        """Take into account the iterations from zero increments. A single one is not saved."""
-        self._plain = iterations
-
     @staticmethod
     def allowed_share(contact: bool) -> float:
         """Largest share of the forces at zero increments that a useful guess leaves."""
@@ -93,7 +89,7 @@ class InitialGuess:
     def tried(self, contact: bool) -> bool:
         """Whether a guess is tried in this solution."""
         self._wait = max(self._wait - 1, 0)
-        return contact or (self._wait == 0 and self._plain > 1)
+        return contact or (self._wait == 0 and self.plain > 1)
 
     def record_use(self, useful: bool) -> None:
         """Take into account whether a guess was of use."""
@@ -206,7 +202,7 @@ class InitialGuess:
         Those of refined fields are left out: leaves of the last step may be others than the next.
         """
         kept: dict[str, npt.NDArray[Any]] = {
-            "guess trials": np.array([self._wait, self._next, self._plain])
+            "guess trials": np.array([self._wait, self._next, self.plain])
         }
         if self._last and all(part.leaves is not None for part in self._last):
             return kept
@@ -228,7 +224,7 @@ class InitialGuess:
         """
         self._partition = partition
         trials = local.get("guess trials", (0, 1, 2))
-        self._wait, self._next, self._plain = (int(n) for n in trials)
+        self._wait, self._next, self.plain = (int(n) for n in trials)
         last, former = local.get("guess lengths", (1.0, 1.0))
         self._lengths = float(last), float(former)
         self._goes_on = [bool(good) for good in local.get("guess ahead", ())]

@@ -265,6 +265,11 @@ class LinearSolver:
             ksp, (lambda: schur.prepare(ksp.getPC(), A, self._options)) if blocks else None
         )
 
+    def take_tangent(self, operator: Operator) -> None:
+        """Assemble the tangent of an operator that is attached. Collective."""
+        assert self.matrix is not None
+        operator.tangent(self.matrix)
+
     def vector(self) -> PETSc.Vec:
         """A vector of the unknowns. Collective."""
         assert self.matrix is not None

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
+from dolfinmpm._platform.argumentchecks import cut
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
 from dolfinmpm.assembly.state import OfCells
 from dolfinmpm.cut.essentialconditions import EssentialConditions
@@ -50,12 +51,8 @@ class Loads:
         self.change: list[float] = []
         self._last_change: list[float] = []
 
-    @staticmethod
-    def _array(item: Any) -> npt.NDArray[np.float64]:
-        return item.x.array if isinstance(item, fem.Function) else item.value
-
     def _read(self) -> list[npt.NDArray[np.float64]]:
-        return [np.array(self._array(item), copy=True) for item in self.items]
+        return [np.array(values_of(item), copy=True) for item in self.items]
 
     def set_target(self) -> None:
         """Take the present values as the values at the end of the step."""
@@ -71,7 +68,7 @@ class Loads:
         for item, start, target in zip(self.items, self._start, self._target):
             moving = moved is not None and any(item is one for one in self._moving)
             at = moved if moving and moved is not None else share
-            self._array(item)[...] = target if at >= 1 else start + at * (target - start)
+            values_of(item)[...] = target if at >= 1 else start + at * (target - start)
 
     def accept(self, whole: bool = True) -> None:
         """Take the present values as the values of a converged state.
@@ -136,6 +133,11 @@ class Loads:
         return "constants " + ", ".join(values) if values else "no constants"
 
 
+def values_of(item: Any) -> npt.NDArray[np.float64]:
+    """The values of a DOLFINx constant or function."""
+    return item.x.array if isinstance(item, fem.Function) else item.value
+
+
 def loads_of(items: Iterable[Any]) -> list[Any]:
     """Constants and functions of a form, without the library's own that do not change."""
     return [item for item in items if not is_own(item) or reached(item) is not None]
@@ -166,11 +168,10 @@ def check_loads(
     """
     error = _changed_list(*essential.read)
     for item in items:
-        function = isinstance(item, fem.Function)
-        values = item.x.array if function else item.value
+        values = values_of(item)
         if error is None and not np.isfinite(values).all():
-            kind = "function" if function else "constant"
-            value = f" = {values}" if not function else ""
+            function = isinstance(item, fem.Function)
+            kind, value = ("function", "") if function else ("constant", f" = {values}")
             error = ParameterError(
                 f"the {kind} {load_name(item)}{value} is not finite{_where(item, form)}; set it to "
                 "the load that the step is to reach"
@@ -213,8 +214,7 @@ def _where(item: Any, form: ufl.Form) -> str:
             terms = [*terms[0].ufl_operands, *terms[1:]]
         for term in terms:
             if any(item is c for c in (*extract_constants(term), *extract_coefficients(term))):
-                text = str(term)
-                return f" in the term '{text if len(text) <= 200 else text[:197] + '...'}'"
+                return f" in the term '{cut(str(term))}'"
     return ""
 
 

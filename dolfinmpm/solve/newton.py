@@ -141,7 +141,7 @@ class Newton:
         if outcome.reason is None:
             self.guess.keep(operator)
             if guess is None:
-                self.guess.record_iterations(outcome.iterations)
+                self.guess.plain = outcome.iterations
         return outcome
 
     def _in_contact(self, operator: Operator) -> bool:
@@ -308,8 +308,7 @@ class Newton:
     def _predict(self, operator: Operator, balance: ConvergenceTest) -> Array:
         """First guess under prescribed increments g: the linear step K x = −f − K g. Collective."""
         operator.move_to_zero()
-        assert self.linear.matrix is not None
-        operator.tangent(self.linear.matrix)
+        self.linear.take_tangent(operator)
         f = operator.predictor_residual()
         # the reference of a body without loads: the forces that the motion alone would make
         square = operator.here.unknowns.comm.allreduce(float(f @ f), op=MPI.SUM)

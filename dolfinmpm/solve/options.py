@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import sys
 import weakref
@@ -12,6 +11,7 @@ from typing import Any
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfinmpm._platform.argumentchecks import nearest
 from dolfinmpm._platform.compat import option_was_read
 from dolfinmpm._platform.errors import UnreadOptionWarning, warn
 
@@ -80,8 +80,7 @@ class Options:
         for name, value in given.items():
             if option_was_read(self.prefix + name):
                 continue
-            near = difflib.get_close_matches(name, _COMMON, 1, 0.8)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
+            hint = nearest(name, _COMMON, "'", 0.8)
             warn(
                 comm,
                 f"petsc_options gives {name} = {value!r}, and nothing that solves this problem has "

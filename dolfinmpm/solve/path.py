@@ -130,8 +130,7 @@ class PathBorder:
         """Predict along the tangent of the path, in the direction of the last step. Collective."""
         constraint = self.constraint
         operator.move_to_zero()
-        assert newton.linear.matrix is not None
-        operator.tangent(newton.linear.matrix)
+        newton.linear.take_tangent(operator)
         q = self.slopes(np.zeros(operator.here.unknowns.owned))[:, 0]
         rate = newton.linear.solve(-q)
         # a failed solution is infinite

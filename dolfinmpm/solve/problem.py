@@ -15,9 +15,10 @@ from petsc4py import PETSc
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.argumentchecks import file_path, shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm._platform.readonce import ReadList, ReadOnce
 from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.assembly.state import HasState, gathered, given_back

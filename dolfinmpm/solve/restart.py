@@ -18,6 +18,7 @@ from dolfinmpm.cut.pattern import KeptCouplings
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.description import describe, warn_of_differences
 from dolfinmpm.solve.linearsolver import WORKSPACE
+from dolfinmpm.solve.loads import values_of
 
 if TYPE_CHECKING:
     from dolfinmpm.solve.problem import Problem
@@ -114,7 +115,7 @@ class SavedState:
         self._state = problem.state()
         self._history = list(problem.history)
         # values set by the user since the last step
-        self._set = [(item, np.array(_array(item))) for item in problem.loads.items]
+        self._set = [(item, np.array(values_of(item))) for item in problem.loads.items]
         self._set += [(u, u.x.array.copy()) for u in self._increments]
         self._dt = float(points.dt.value)
 
@@ -143,14 +144,8 @@ class SavedState:
         problem.set_state(self._state)
         problem.history[:] = self._history
         for item, values in self._set:
-            _array(item)[...] = values
+            values_of(item)[...] = values
         points.dt.value = self._dt
-
-
-def _array(item: Any) -> npt.NDArray[np.float64]:
-    """The values of a DOLFINx constant or function."""
-    values: npt.NDArray[np.float64] = item.x.array if hasattr(item, "x") else item.value
-    return values
 
 
 class SupportForces:

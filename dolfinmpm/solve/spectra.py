@@ -61,12 +61,23 @@ def _singular_values(A: Array) -> Array:
 
 def _dense(matrix: PETSc.Mat) -> Array:
     """All entries of a matrix, on every rank. Collective."""
+    from scipy import sparse
+
     start, indices, values = matrix.getValuesCSR()
-    n = matrix.getSize()[0]
-    rows = np.zeros((start.size - 1, n))
-    for i in range(start.size - 1):
-        rows[i, indices[start[i] : start[i + 1]]] = values[start[i] : start[i + 1]]
-    return np.concatenate(matrix.comm.tompi4py().allgather(rows))
+    rows = sparse.csr_matrix((values, indices, start), (start.size - 1, matrix.getSize()[1]))
+    return np.concatenate(matrix.comm.tompi4py().allgather(rows.toarray()))
+
+
+def _vector(matrix: PETSc.Mat, values: Array) -> PETSc.Vec:
+    """A vector of a matrix, with values."""
+    made = matrix.createVecRight()
+    made.getArray()[:] = values
+    return made
+
+
+def _step_of(largest: float) -> float:
+    """Step of the largest eigenvalue (1/s²), nan if this is not found."""
+    return math.inf if largest <= 0 else 2 / math.sqrt(largest)
 
 
 def _check_matrix(what: str, given: Any) -> None:
@@ -145,37 +156,43 @@ def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float
 
 
 def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:
-    """Smallest and largest eigenvalue, by Lanczos iterations; SLEPc. Collective."""
+    """Smallest and largest eigenvalue. Collective."""
+    space = [_vector(matrix, mode) for mode in (() if kernel is None else kernel.T)]
+    high = _eigenvalue([matrix], space)
+    # slightly below zero, so that a kernel does not make the shifted matrix singular
+    return _eigenvalue([matrix], space, -1e-12 * high), high
+
+
+def _eigenvalue(
+    operators: list[PETSc.Mat], space: list[PETSc.Vec], target: float | None = None
+) -> float:
+    """The largest eigenvalue or that at a target, or nan, by Lanczos iterations; SLEPc. Collective.
+
+    Args:
+        operators: K, or K and M of K x = λ M x.
+        space: Vectors that are left out.
+        target: Value to which the eigenvalue is nearest.
+    """
     from slepc4py import SLEPc
 
-    def solve(which, target=None):
-        eps = SLEPc.EPS().create(matrix.comm)
-        eps.setOperators(matrix)
-        eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
-        eps.setDimensions(1)
-        eps.setTolerances(1e-8, 1000)
-        if kernel is not None and kernel.shape[1]:
-            space = []
-            for k in range(kernel.shape[1]):
-                vector = matrix.createVecRight()
-                vector.getArray()[:] = kernel[:, k]
-                space.append(vector)
-            eps.setDeflationSpace(space)
-        eps.setWhichEigenpairs(which)
-        if target is not None:
-            eps.setTarget(target)
-            st = eps.getST()
-            st.setType("sinvert")
-            st.getKSP().setType("preonly")
-            st.getKSP().getPC().setType("lu")
-            st.getKSP().getPC().setFactorSolverType("mumps")
-        eps.solve()
-        return eps.getEigenvalue(0).real if eps.getConverged() else math.nan
-
-    high = solve(SLEPc.EPS.Which.LARGEST_REAL)
-    # slightly below zero, so that a kernel does not make the shifted matrix singular
-    low = solve(SLEPc.EPS.Which.TARGET_REAL, -1e-12 * high)
-    return low, high
+    eps = SLEPc.EPS().create(operators[0].comm)
+    eps.setOperators(*operators)
+    kinds, which = SLEPc.EPS.ProblemType, SLEPc.EPS.Which
+    eps.setProblemType(kinds.HEP if len(operators) == 1 else kinds.GHEP)
+    eps.setDimensions(1)
+    eps.setTolerances(1e-8, 1000)
+    eps.setDeflationSpace(space)
+    eps.setWhichEigenpairs(which.LARGEST_REAL if target is None else which.TARGET_REAL)
+    st = eps.getST()
+    if target is not None:
+        eps.setTarget(target)
+        st.setType("sinvert")
+    if target is not None or len(operators) > 1:
+        st.getKSP().setType("preonly")
+        st.getKSP().getPC().setType("lu")
+        st.getKSP().getPC().setFactorSolverType("mumps")
+    eps.solve()
+    return eps.getEigenvalue(0).real if eps.getConverged() else math.nan
 
 
 @collective
@@ -229,37 +246,21 @@ def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False
     scale = 1 / np.sqrt(np.diag(M))
     K, M = (0.5 * np.outer(scale, scale) * (A + A.T) for A in (K, M))
     try:
-        largest = linalg.eigh(K, M, eigvals_only=True, subset_by_index=(n - 1, n - 1))[0]
+        return _step_of(linalg.eigh(K, M, eigvals_only=True, subset_by_index=(n - 1, n - 1))[0])
     except linalg.LinAlgError:
         return 0.0
-    return 2 / math.sqrt(largest) if largest > 0 else math.inf
 
 
 def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) -> float:
-    from slepc4py import SLEPc
-
     if lumped:
         sums = mass.createVecLeft()
         ones = mass.createVecRight()
         ones.set(1.0)
         mass.mult(ones, sums)
-        mass = PETSc.Mat().createDiagonal(sums)
-        mass.convert("aij")
-    eps = SLEPc.EPS().create(stiffness.comm)
-    eps.setOperators(stiffness, mass)
-    eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-    eps.setDimensions(1)
-    eps.setTolerances(1e-8, 1000)
-    eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
-    st = eps.getST()
-    st.getKSP().setType("preonly")
-    st.getKSP().getPC().setType("lu")
-    st.getKSP().getPC().setFactorSolverType("mumps")
-    eps.solve()
-    if not eps.getConverged():
-        return math.nan
-    largest = eps.getEigenvalue(0).real
-    return 2 / math.sqrt(largest) if largest > 0 else math.inf
+        # PETSc's diagonal matrices lose their values when several ranks convert them
+        mass = PETSc.Mat().createAIJ(mass.getSizes(), nnz=1, comm=mass.comm)
+        mass.setDiagonal(sums)
+    return _step_of(_eigenvalue([stiffness, mass], []))
 
 
 def _motions(comm: MPI.Comm, x: Array) -> list[Array]:
@@ -297,10 +298,8 @@ def near_kernel(here: Activation, matrix: PETSc.Mat) -> PETSc.NullSpace:
     """
     unknowns, basis = here.unknowns, here.fields[0].basis
     nodes = unknowns.fields[0].owned_nodes
-    vectors = []
-    for mode in _rigid(unknowns, basis.node_coordinates()[nodes, : basis.grid.geometry.dim]):
-        vectors.append(matrix.createVecRight())
-        vectors[-1].getArray()[:] = mode
+    x = basis.node_coordinates()[nodes, : basis.grid.geometry.dim]
+    vectors = [_vector(matrix, mode) for mode in _rigid(unknowns, x)]
     return PETSc.NullSpace().create(vectors=vectors, comm=unknowns.comm)
 
 
@@ -319,8 +318,7 @@ def near_kernel_within(here: Activation, matrix: PETSc.Mat, rows: PETSc.IS) -> P
     for mode in _motions(unknowns.comm, x):
         entries = np.zeros(unknowns.mine)
         entries[: field.size] = mode.ravel()[~field.fixed[nodes].ravel()]
-        vector = matrix.createVecRight()
-        vector.getArray()[:] = unknowns.shared_out(entries)
+        vector = _vector(matrix, unknowns.shared_out(entries))
         part = vector.getSubVector(rows)
         modes.append(part.copy())
         vector.restoreSubVector(rows, part)

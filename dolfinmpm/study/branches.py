@@ -42,11 +42,8 @@ _WALL = "markers of walls begin or end to touch or slip"
 
 def points_of(problems: Sequence[Problem]) -> list[MaterialPoints]:
     """All points and markers of some problems, each once."""
-    found: list[MaterialPoints] = []
-    for problem in problems:
-        markers = [of.boundary.markers for of in problem.form.boundaries]
-        found += [p for p in (problem.points, *markers) if not any(p is q for q in found)]
-    return found
+    markers = [[of.boundary.markers for of in p.form.boundaries] for p in problems]
+    return list(dict.fromkeys(x for p, own in zip(problems, markers) for x in (p.points, *own)))
 
 
 class Marks:
@@ -58,10 +55,7 @@ class Marks:
 
     def __init__(self, problems: Sequence[Problem]):
         self._problems = problems
-        self._points: list[MaterialPoints] = []
-        for problem in problems:
-            if not any(problem.points is p for p in self._points):
-                self._points.append(problem.points)
+        self._points = list(dict.fromkeys(problem.points for problem in problems))
         # functions with a kink at the border of cells
         spaces = [space for problem in problems for space in problem.form.spaces]
         self._kinks = any(not s.basis.averaged and s.basis.continuity == 0 for s in spaces)

@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown, whole
+from dolfinmpm._platform.argumentchecks import (
+    check_dictionary,
+    check_function,
+    check_names,
+    coordinates,
+    number,
+    shown,
+    whole,
+)
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 from dolfinmpm.study.derivatives import sizes_of
 from dolfinmpm.study.scenerun import Scene
@@ -212,8 +220,7 @@ def _measurements(
     measured: Mapping[str, npt.ArrayLike], weights: Mapping[str, npt.ArrayLike]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Measurements and weights as arrays of the same shapes."""
-    if not isinstance(measured, Mapping) or not measured:
-        raise ParameterError(f"measured = {shown(measured)} must be a dictionary of arrays")
+    check_dictionary("measured", measured, " of arrays", some=True)
     data = {name: coordinates(f"measured['{name}']", v) for name, v in measured.items()}
     for name, values in data.items():
         # the default weight would be zero, and would switch off the whole figure
@@ -223,13 +230,8 @@ def _measurements(
                 f"measured['{name}'] is infinite after step {infinite[0][0] + 1}, and must be "
                 "finite: give NaN where nothing was measured"
             )
-    if not isinstance(weights, Mapping):
-        raise ParameterError(
-            f"weights = {shown(weights)} must be a dictionary of numbers or arrays"
-        )
-    for name in weights:
-        if name not in data:
-            raise ParameterError(f"weights has '{name}', and measured has {', '.join(data)}")
+    check_dictionary("weights", weights, " of numbers or arrays")
+    check_names("weights", weights, data, "measured has")
     scaled = {}
     for name, values in data.items():
         largest = np.nanmax(np.abs(values), initial=0.0)
@@ -260,13 +262,9 @@ def _limits(
     """Bounds of the coordinates."""
     low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
     names = list(start)
-    if not isinstance(bounds, Mapping):
-        raise ParameterError(
-            f"bounds = {shown(bounds)} must be a dictionary of pairs, such as {{'E': (1e6, 1e8)}}"
-        )
+    check_dictionary("bounds", bounds, " of pairs, such as {'E': (1e6, 1e8)}")
+    check_names("bounds", bounds, names, "the parameters are")
     for name, ends in bounds.items():
-        if name not in names:
-            raise ParameterError(f"bounds has '{name}', and the parameters are {', '.join(names)}")
         pair = coordinates(f"bounds['{name}']", ends)
         if pair.shape != (2,):
             raise ParameterError(f"bounds['{name}'] = {shown(ends)} must be (least, largest)")

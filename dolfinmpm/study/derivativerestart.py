@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.argumentchecks import file_path, whole
+from dolfinmpm._platform.argumentchecks import whole
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, call_on_root
+from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm.io.rowfile import plain, restored
 from dolfinmpm.io.vtkfiles import replace_file
 from dolfinmpm.solve.problem import Problem

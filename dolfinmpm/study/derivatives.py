@@ -10,7 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_function, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import (
+    check_dictionary,
+    check_function,
+    check_names,
+    number,
+    truth,
+    whole,
+)
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -317,17 +324,9 @@ def sizes_of(parameters: Mapping[str, float], scales: Mapping[str, float]) -> di
     Raises:
         ParameterError: A parameter or a size is no number, a name is unknown, or a size is zero.
     """
-    if not isinstance(parameters, Mapping) or not parameters:
-        raise ParameterError(
-            f"parameters = {shown(parameters)} must be a dictionary of names and numbers"
-        )
-    if not isinstance(scales, Mapping):
-        raise ParameterError(f"scales = {shown(scales)} must be a dictionary of names and numbers")
-    for name in scales:
-        if name not in parameters:
-            raise ParameterError(
-                f"scales has '{name}', and the parameters are {', '.join(parameters)}"
-            )
+    check_dictionary("parameters", parameters, " of names and numbers", some=True)
+    check_dictionary("scales", scales, " of names and numbers")
+    check_names("scales", scales, parameters, "the parameters are")
     found = {}
     for name, value in parameters.items():
         number(name, value)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.argumentchecks import check_dictionary, number, shown
 from dolfinmpm._platform.errors import MissingPackageError, ParameterError
 
 __all__ = ["LogNormal", "Normal", "checked", "openturns"]
@@ -126,10 +126,7 @@ def checked(distributions: Any) -> dict[str, Callable[[Array], Array]]:
     Raises:
         ParameterError: It is no dictionary of distributions.
     """
-    if not isinstance(distributions, Mapping) or not distributions:
-        raise ParameterError(
-            f"distributions = {shown(distributions)} must be a dictionary of distributions by name"
-        )
+    check_dictionary("distributions", distributions, " of distributions by name", some=True)
     return {name: _values(name, given) for name, given in distributions.items()}
 
 

@@ -214,8 +214,7 @@ def _moved_by(problem: QuasiStatic, operator: Operator) -> np.ndarray:
     operator.move_to_start()
     force = here.unknowns.restrict(operator.forces())
     if len(here.movers) == len(here.fields):
-        assert linear.matrix is not None
-        operator.tangent(linear.matrix)
+        linear.take_tangent(operator)
         return linear.solve(-force)
     # solve for displacements only; pressures stay
     matrix = Matrix(here.pattern, here.unknowns)

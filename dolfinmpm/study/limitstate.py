@@ -10,6 +10,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import (
+    check_dictionary,
     check_function,
     check_kind,
     coordinates,
@@ -62,10 +63,7 @@ class LimitState:
 
     def __init__(self, scene: Scene, limit: str, sizes: Mapping[str, float]):
         check_function("scene", scene, "of a dictionary of parameters")
-        if not isinstance(sizes, Mapping) or not sizes:
-            raise ParameterError(
-                f"sizes = {shown(sizes)} must be a dictionary of numbers, such as {{'E': 1e5}}"
-            )
+        check_dictionary("sizes", sizes, " of numbers, such as {'E': 1e5}", some=True)
         for name, size in sizes.items():
             number(f"sizes['{name}']", size, 0.0)
         check_kind("limit", limit, str, 'the name of a figure of the scene, such as "margin"')

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import (
+    check_dictionary,
     check_kind,
     choice,
     coordinates,
@@ -197,10 +198,7 @@ class RandomField:
             )
         places = places.reshape(-1, gdim)
         self._check_places(places)
-        if not isinstance(xi, Mapping):
-            raise ParameterError(
-                f"xi = {shown(xi)} must be a dictionary of numbers, such as field.sample(seed=1)"
-            )
+        check_dictionary("xi", xi, " of numbers, such as field.sample(seed=1)")
         given = np.array([number(f"xi['{name}']", xi.get(name, 0.0)) for name in self.names])
         places = places - self._low
         at_nodes = self._vectors @ given

@@ -135,8 +135,7 @@ def factor_of_safety(
     """
     if not 0 < number("low", low) < number("high", high):
         raise ParameterError(f"low = {low} and high = {high} must be positive and increase")
-    if not number("tolerance", tolerance) > 0:
-        raise ParameterError(f"tolerance = {tolerance} must be a positive number")
+    number("tolerance", tolerance, 0.0)
     if not number("growth", growth, high=math.inf, closed=True) > 1:
         raise ParameterError(f"growth = {growth} must be more than 1, usually 2 to 10")
     if isinstance(loading, QuasiStatic):

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import (
+    check_dictionary,
     check_function,
     check_kind,
     check_takes,
@@ -71,11 +72,8 @@ class Run:
         for problem in several or [None]:
             check_kind("problem", problem, Problem, "give a problem of dolfinmpm")
         truth("given", self.given)
-        if not isinstance(self.measured, Mapping) or not self.measured:
-            raise ParameterError(
-                f"measured = {shown(self.measured)} must be a dictionary of functions, such as "
-                '{"settlement": lambda: top.mean_displacement()[1]}'
-            )
+        such = ' of functions, such as {"settlement": lambda: top.mean_displacement()[1]}'
+        check_dictionary("measured", self.measured, such, some=True)
         for name, get in self.measured.items():
             check_function(f"measured['{name}']", get, "without arguments")
         if isinstance(self.steps, (list, tuple)):

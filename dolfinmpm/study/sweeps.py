@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import check_takes, coordinates, floats, shown
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, floats, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress
 
@@ -26,11 +26,7 @@ def _figures(scene: Callable[[Any], Any], place: Any) -> Row:
     Raises:
         ParameterError: The scene is no function, or returns no figures.
     """
-    if not callable(scene):
-        raise ParameterError(
-            f"scene = {shown(scene)} must be a function that returns figures for a place or size"
-        )
-    check_takes("scene", scene, place)
+    check_function("scene", scene, "that returns figures for a place or size", place)
     answer = scene(place)
     if is_dataclass(answer) and not isinstance(answer, type):
         return asdict(answer)

@@ -384,13 +384,11 @@ def _like(kind: type[Kind], solver: Any, **more: Any) -> Kind:
 
 def record(problem: QuasiStatic, tape: Tape) -> None:
     """Let a problem keep its solutions on a tape."""
-    bordered = isinstance(problem.solver, Bordered)
-    kind: Any = RecordedBordered if bordered else RecordedNewton
+    kind: Any = RecordedBordered if isinstance(problem.solver, Bordered) else RecordedNewton
     problem.solver = _like(kind, problem.solver, tape=tape)
 
 
 def follow(problem: QuasiStatic, reader: Reader) -> None:
     """Let the steps of a problem follow the solutions of a tape."""
-    bordered = isinstance(problem.solver, Bordered)
-    kind: Any = FollowingBordered if bordered else FollowingNewton
+    kind: Any = FollowingBordered if isinstance(problem.solver, Bordered) else FollowingNewton
     problem.solver = _like(kind, problem.solver, reader=reader)

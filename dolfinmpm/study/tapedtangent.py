@@ -256,9 +256,13 @@ class TapedTangent:
         first = self.norm(rest)
         if self.exact:
             x = x - self._solve(operator, rest, self._left)
-            corrections = self.corrections.get(pair)
-            if corrections is not None:
-                return self._again(operator, x, kept, *corrections)
+            if pair in self.corrections:
+                # corrected as often as the first run of the pair
+                count, converged = self.corrections[pair]
+                for _ in range(count):
+                    rest = self._unbalanced(operator, x, kept)
+                    x = x - self._solve(operator, rest, 0.1 * DIGITS)
+                return x, converged
             bound = max(max(_ABOVE * self._left, even) * first, NOISE * least)
             return self._iterate(operator, x, kept, (first, bound, least), pair)
         if self._linear is self._lender and self._lender.version != self._version:
@@ -365,8 +369,7 @@ def factor(linear: LinearSolver, operator: Operator) -> None:
     while True:
         try:
             linear.attach(operator)
-            assert linear.matrix is not None
-            operator.tangent(linear.matrix)
+            linear.take_tangent(operator)
             linear.solve(np.zeros(operator.here.unknowns.owned))
             if not linear.stuck:
                 return

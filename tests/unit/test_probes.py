@@ -163,12 +163,12 @@ def test_probes_on_a_grid_whose_lines_are_laid_anew():
 
 WRONG = {
     "no points": (lambda p: mpm.probe(3, (0, 0)), "points = 3"),
-    "a word": (lambda p: mpm.probe(p, "top"), "place = 'top' must be a position"),
-    "a number": (lambda p: mpm.probe(p, 0.5), "place = 0.5 must be a position"),
+    "a word": (lambda p: mpm.probe(p, "top"), "place = 'top' must be 2 finite numbers"),
+    "a number": (lambda p: mpm.probe(p, 0.5), "place = 0.5 must be 2 finite numbers"),
     "too many": (lambda p: mpm.probe(p, (0, 0, 0)), "2 finite numbers"),
     "not finite": (lambda p: mpm.probe(p, (0, np.nan)), "2 finite numbers"),
-    "several": (lambda p: mpm.probe(p, [(0, 0), (1, 1)]), "must be a position"),
-    "complex": (lambda p: mpm.probe(p, (0, 1j)), "must be a position"),
+    "several": (lambda p: mpm.probe(p, [(0, 0), (1, 1)]), "must be 2 finite numbers"),
+    "complex": (lambda p: mpm.probe(p, (0, 1j)), "must be 2 finite numbers"),
     "far away": (lambda p: mpm.probe(p, (0.4, 1.4)), r"0\.676 m from the next material point"),
     "no field": (lambda p: mpm.probe(p, (0, 0))["heat"], "no field 'heat'; they have"),
     "displacement": (lambda p: p["displacement"], r"is points\['x'\] - points\['x0'\]"),

@@ -306,7 +306,7 @@ def test_safety_is_drawn(tmp_path):
     [
         ({"low": 0.0}, "low = 0.0 and high = 2.0 must be positive"),
         ({"low": 3.0}, "low = 3.0 and high = 2.0 must be positive and increase"),
-        ({"tolerance": 0.0}, "tolerance = 0.0"),
+        ({"tolerance": 0.0}, "tolerance = 0 must be above 0"),
         ({"growth": 1.0}, "growth = 1.0 must be more than 1"),
         ({"high": 1.4}, "stands at high = 1.4 still"),
         ({"low": 1.9}, "fails at low = 1.9 already, in step 4 of the load: step 7 failed"),

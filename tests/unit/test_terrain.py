@@ -353,7 +353,7 @@ MASKED = np.ma.masked_equal([[1.0, 2.0], [-9999.0, 4.0]], -9999.0)
         (lambda: mpm.Terrain.from_raster(MASKED, spacing=1.0), "1 of 4 heights are not known"),
         (lambda: mpm.Terrain.from_raster(MASKED.data, spacing=1.0), "a mark of missing data"),
         (lambda: mpm.Terrain.from_raster(1j * MASKED.data, spacing=1.0), "must be numbers"),
-        (lambda: mpm.Terrain.from_raster(MASKED, spacing=1.0, corner=(np.nan, 0)), "two finite"),
+        (lambda: mpm.Terrain.from_raster(MASKED, spacing=1.0, corner=(np.nan, 0)), "2 finite"),
         (lambda: hills().from_boreholes([(1, 1), (1 + 1e-12, 1), (9, 5)], [1, 2, 3]), "same pos"),
         (
             lambda: hills().ground(mpm.Terrain(([50, 60], [0, 5]), np.zeros((2, 2)))),

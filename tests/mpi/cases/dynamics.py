@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import ufl
 from dolfinx import fem, mesh
+from petsc4py import PETSc
 
 import dolfinmpm as mpm
+from dolfinmpm.solve import spectra
 
 from .common import COMM, sums
 from .restart import REPEATABLE, goes_on
@@ -62,7 +65,25 @@ def dynamics():
         "triangles": _figures(lambda: tumbling(basis="linear", kind="triangle"), 12),
         "aggregation": _figures(lambda: tumbling(stabilisation="aggregation"), 12),
         "even": _evenly_divided(),
+        "critical": _critical_steps(),
     }
+
+
+def _critical_steps():
+    """Critical steps of a free bar of 40 linear elements, whose mass may be lumped."""
+    K, M = (PETSc.Mat().createAIJ((41, 41), nnz=3, comm=COMM) for _ in range(2))
+    for k in range(40 if COMM.rank == 0 else 0):
+        K.setValues([k, k + 1], [k, k + 1], [[1.0, -1.0], [-1.0, 1.0]], PETSc.InsertMode.ADD)
+        M.setValues([k, k + 1], [k, k + 1], [[2.0, 1.0], [1.0, 2.0]], PETSc.InsertMode.ADD)
+    K.assemble()
+    M.assemble()
+    steps = []
+    with pytest.MonkeyPatch.context() as patch:
+        for limit in (spectra.DENSE_LIMIT, 10):
+            patch.setattr(spectra, "DENSE_LIMIT", limit)
+            steps += [mpm.study.critical_step(K, M, lumped=lumped) for lumped in (True, False)]
+    np.testing.assert_allclose(steps, 2 * [np.sqrt(6), np.sqrt(2)], rtol=1e-12)
+    return steps
 
 
 def _evenly_divided():
