@@ -157,8 +157,9 @@ class Energies:
             positions. So the kinetic energy is corrected to the time of the positions, see
             `dolfinmpm.dynamics.energies`. The same holds for free rigid bodies.
         strain: Elastic energy stored by the laws; NaN if a law has no energy.
-        external: Work of loads and prescribed motions since the first step. Terms in UFL that
-            depend on the increment, such as `Surface.pressure`, are in "integrator".
+        external: Work of loads and prescribed motions since the first step, of pressures that
+            follow a `Surface` or a `Boundary`, too. Terms of your own over the points that depend
+            on the increment are in "integrator".
         bodies: Kinetic energy of free rigid bodies.
         contact: Energy stored by the penalties of contacts and of walls (`signorini`).
         initial: Total energy before the first step, plus energy that the user gives between steps:
