@@ -133,6 +133,7 @@ class ActiveRigidContact(ActiveContact):
         return ContactStart(
             self._probe[0], points[names.tangential_force][own], normal_force, k, multiplier,
             points[names.closing][own], contact.law.largest_slip_forces(slipping),
+            contact.water_at(c.rows, c.x) * areas,
         )  # fmt: skip
 
     @staticmethod
@@ -241,7 +242,8 @@ class ActiveRigidContact(ActiveContact):
         state = np.empty(c.size, np.int8)
         contact_forces(
             *probe, at[c], self.local_start[c], start.tangential[c], start.multiplier[c], k,
-            law.slip_share * k, law.friction, start.limit[c], holds[c], *found, state,
+            law.slip_share * k, law.friction, start.limit[c], start.water[c], holds[c], *found,
+            state,
         )  # fmt: skip
         for own, values in zip(now.by_law, found):
             own[c] = values
@@ -267,7 +269,7 @@ class ActiveRigidContact(ActiveContact):
         loss, state = np.empty(c.size), np.empty(c.size, np.int8)
         mean_forces(
             start.gap[c], *probe[:2], *middle, path, start.tangential[c], start.multiplier[c], k,
-            law.slip_share * k, law.friction, start.limit[c], *found, loss, state,
+            law.slip_share * k, law.friction, start.limit[c], start.water[c], *found, loss, state,
         )  # fmt: skip
         for own, values in zip(now.by_law, found):
             own[c] = values
