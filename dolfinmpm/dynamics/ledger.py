@@ -74,6 +74,7 @@ class Work:
             kinetic energy at the time of positions less the kinetic energy of the velocities, see
             `dolfinmpm.dynamics.energies`.
         latest: Not a sum: work of the stresses at the end of the last step on its strains.
+        pending: Not a sum: work of boundaries that counts in the next step, in "usf".
     """
 
     external: float = 0.0
@@ -86,6 +87,7 @@ class Work:
     late: float = 0.0
     late_bodies: float = 0.0
     latest: float = 0.0
+    pending: float = 0.0
 
     @property
     def net(self) -> float:
@@ -101,7 +103,7 @@ class Work:
         self.start += other.start
         for name, loss in other.losses.items():
             self.losses[name] += loss
-        self.late, self.late_bodies = other.late, other.late_bodies
+        self.late, self.late_bodies, self.pending = other.late, other.late_bodies, other.pending
 
     def add_stresses(
         self, points: MaterialPoints, new: Mapping[str, Array], operator: Operator

@@ -70,3 +70,24 @@ def test_a_pressed_block_on_a_plane_does_not_halve_steps():
     assert max(record.parts for record in problem.history) == 1
     e = problem.energies()
     assert abs(e["integrator"]) < 0.01 * e.external
+
+
+@pytest.mark.parametrize("on", ["surface", "boundary"])
+def test_a_pressure_on_a_body_at_rest_is_no_instability_in_usf(on):
+    """Work counts a step late in "usf", and there was no other energy yet."""
+    grid = mpm.create_lattice(COMM, [np.arange(13) * 0.0625 + 0.75, [0.0, 0.0625, 0.125]])
+    points = mpm.fill(grid, mpm.Box((1.0, 0.0), (1.25, 0.125)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(1e7, 0.0), points, u, v)
+    if on == "surface":
+        face = mpm.Surface(points, lambda x: np.isclose(x[0], 1.0), (-1, 0))
+    else:
+        face = mpm.Boundary.from_polygon(points, [(1.0, 0.125), (1.0, 0.0)], closed=False)
+    F += face.pressure(fem.Constant(grid, 1e4), u, v)
+    problem = mpm.Explicit(F, u, points, mpm.rollers(V, "bottom", "top"), scheme="usf")
+    for t in mpm.times(0.01, dt=0.0005):
+        problem.step(t)
+    e = problem.energies()
+    assert e.kinetic == pytest.approx(0.5 * (1e4 * 0.125 * 0.01) ** 2 / (1000 * 0.03125), rel=0.05)
+    assert abs(e["integrator"]) < 0.02 * e.external
