@@ -132,6 +132,7 @@ class ActiveRigidContact(ActiveContact):
         return ContactStart(
             self._probe[0], points[names.tangential_force][own], normal_force, k, multiplier,
             points[names.closing][own], contact.law.largest_slip_forces(slipping),
+            contact.water_at(c.rows, c.x) * areas,
         )  # fmt: skip
 
     @staticmethod
@@ -243,7 +244,7 @@ class ActiveRigidContact(ActiveContact):
         contact_forces(
             *probe, at[c], self.local_start[c], start.tangential[c],
             start.multiplier[c] - k * overlap, k, law.slip_share * k, law.friction, start.limit[c],
-            holds[c], *found, state,
+            start.water[c], holds[c], *found, state,
         )  # fmt: skip
         for own, values in zip(now.by_law, found):
             own[c] = values
@@ -271,7 +272,7 @@ class ActiveRigidContact(ActiveContact):
         mean_forces(
             start.gap[c], *probe[:2], *middle, path, start.tangential[c],
             start.multiplier[c] - k * overlap, k, law.slip_share * k, law.friction, start.limit[c],
-            *found, loss, state,
+            start.water[c], *found, loss, state,
         )  # fmt: skip
         if self.held is not None:
             loss += self.held.released(c, start)

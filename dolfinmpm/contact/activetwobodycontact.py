@@ -58,7 +58,7 @@ class ActiveTwoBodyContact(ActiveContact):
             pairs.gap, pairs.shares[:, None] * markers[names.tangential_force][rows],
             normal_force, pairs.stiffness * pairs.areas,
             np.zeros(m) if no_bound else normal_force, np.zeros(m),
-            contact.law.largest_slip_forces(pairs.areas),
+            contact.law.largest_slip_forces(pairs.areas), np.zeros(m),
         )  # fmt: skip
         if mean_weights is not None and no_bound:
             q, none = -start.stiffness * pairs.gap, np.zeros(m)
@@ -84,16 +84,16 @@ class ActiveTwoBodyContact(ActiveContact):
         if self.mean_weights is not None:
             mean_forces(
                 pairs.gap, now.gap, n, n, flat, slip, start.tangential, start.multiplier,
-                start.stiffness, slip_stiffness, law.friction, start.limit, *now.by_law, now.loss,
-                now.states,
+                start.stiffness, slip_stiffness, law.friction, start.limit, start.water,
+                *now.by_law, now.loss, now.states,
             )  # fmt: skip
             return
         at_rest = not (first.any() or second.any())
         holds = self._touch & (self.clings and at_rest)
         contact_forces(
             now.gap, n, flat, slip, np.zeros_like(slip), start.tangential, start.multiplier,
-            start.stiffness, slip_stiffness, law.friction, start.limit, holds, *now.by_law,
-            now.states,
+            start.stiffness, slip_stiffness, law.friction, start.limit, start.water, holds,
+            *now.by_law, now.states,
         )  # fmt: skip
         if law.friction and holds.any():
             # points that are about to be pressed will stick

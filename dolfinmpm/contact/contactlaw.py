@@ -4,10 +4,11 @@ A rigid surface has the gap g, the outward normal n and H = ∇n at a contact po
 quantities are in the frame of the body. So a motion of the body itself is no slip:
 
     p = max(0, λ − ε_N g),    w = t_n − ε_T (ξ − ξ_n),    t = P w if |P w| ≤ T,
-    t = T P w/|P w| else,    T = min(μ p, τ A),    f = p n + t,    P = I − n ⊗ n.
+    t = T P w/|P w| else,    T = min(μ max(0, p − w A), τ A),    f = p n + t,    P = I − n ⊗ n.
 
 The largest shear stress τ is a property of clay: α c_u at the interface, however high the pressure.
-A is the area of the contact point. Without τ, T = μ p is Coulomb's friction.
+A is the area of the contact point. Without τ, T = μ p is Coulomb's friction. w is the pressure of
+the water in the pores, if it does not rub: friction is then that of the effective pressure.
 
 This is the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
 Mechanics, 2006, ch. 10; AMPSSIE uses it in the material point method). The derivative of f by ξ is
@@ -98,7 +99,7 @@ class ContactLaw:
 @numba.njit(cache=True, error_model="numpy")
 def contact_forces(
     gap, normal, curvature, at, start, before, multiplier, normal_stiffness, slip_stiffness,
-    friction, limit, holds, force, tangential, normal_force, derivative, state,
+    friction, limit, water, holds, force, tangential, normal_force, derivative, state,
 ):  # fmt: skip
     """Forces at contact points and their derivatives; see above. All in the frame of the body.
 
@@ -110,6 +111,7 @@ def contact_forces(
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
         limit: τ A (N), shape (m,).
+        water: w A (N), shape (m,).
         holds: Points that stay in contact even outside the body, with p < 0, shape (m,).
         force: Output: f (N), shape (m, d).
         tangential: Output: t (N), shape (m, d).
@@ -159,7 +161,9 @@ def contact_forces(
             for j in range(d):
                 tangent[i, j] = eT * n[i] * n[j] - along * H[i, j] - n[i] * dn[j]
             tangent[i, i] -= eT
-        bound, slope, slips = friction * p, friction * eN, SLIPS
+        bound, slope, slips = friction * (p - water[c]), friction * eN, SLIPS
+        if bound < 0.0:
+            bound, slope = 0.0, 0.0
         if bound > limit[c]:
             bound, slope, slips = limit[c], 0.0, SHEARS
         if size <= bound:

@@ -70,6 +70,7 @@ class ContactStart:
         multiplier: Multipliers of the normal force (N), shape (m,).
         closing: Closing of the gaps in the last step (m), shape (m,).
         limit: Largest forces of friction (N), besides those by its coefficient, shape (m,).
+        water: Forces of the water in the pores, which do not rub (N), shape (m,).
     """
 
     gap: Array
@@ -79,6 +80,7 @@ class ContactStart:
     multiplier: Array
     closing: Array
     limit: Array
+    water: Array
 
 
 @dataclass

@@ -70,7 +70,8 @@ def _mean(q0, q1):
 @numba.njit(cache=True, error_model="numpy")
 def mean_forces(
     first, gap, normal, middle, curvature, path, before, multiplier, normal_stiffness,
-    slip_stiffness, friction, limit, force, tangential, normal_force, derivative, loss, state,
+    slip_stiffness, friction, limit, water, force, tangential, normal_force, derivative, loss,
+    state,
 ):  # fmt: skip
     """Mean forces at contact points over a step and their derivatives, in the frame of the body.
 
@@ -83,7 +84,7 @@ def mean_forces(
         multiplier: λ (N), shape (m,).
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
-        limit: τ A (N), shape (m,), see `dolfinmpm.contact.contactlaw`.
+        limit, water: τ A and w A (N), shape (m,), see `dolfinmpm.contact.contactlaw`.
         force: Output: p̄ n̄ + t̄ (N), shape (m, d).
         tangential: Output: t₁ (N), shape (m, d).
         normal_force: Output: p₁ (N), shape (m,).
@@ -162,7 +163,9 @@ def mean_forces(
                 tangent[i, j] = 0.5 * (eT * n[i] * n[j] - off * H[i, j]) - n[i] * dn[j]
             tangent[i, i] -= 0.5 * eT
         share = 1.0
-        bound, slope, slips = friction * p, friction * dp * eN, SLIPS
+        bound, slope, slips = friction * (p - water[c]), friction * dp * eN, SLIPS
+        if bound < 0.0:
+            bound, slope = 0.0, 0.0
         if bound > limit[c]:
             bound, slope, slips = limit[c], 0.0, SHEARS
         if size > bound:

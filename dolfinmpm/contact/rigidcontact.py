@@ -12,9 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from mpi4py import MPI
+from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind, choice
-from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.argumentchecks import (
+    Tags,
+    as_tags,
+    check_kind,
+    choice,
+    refuse_idle,
+    shown,
+)
+from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
 from dolfinmpm.assembly.term import Term, as_form
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
@@ -44,9 +52,10 @@ class RigidContact(Term):
         material: True if corners follow the points' material, False if they follow the domains.
         tags: Tags of the points that touch, or None for all points.
         law: The contact law.
+        wet: Whether friction is that of the effective pressure.
 
     Attributes:
-        body, points, u, surface, material, tags, law: The arguments.
+        body, points, u, surface, material, tags, law, wet: The arguments.
         names: Names of the points' fields with the state of the contact.
         dissipated: Work dissipated by friction (J), on all ranks.
         mean_weights: Weights of mean forces over a step in its balance; None for forces at the end.
@@ -57,13 +66,15 @@ class RigidContact(Term):
 
     def __init__(
         self, body: RigidBody, points: MaterialPoints, u: Any, surface: Surface | None,
-        material: bool, tags: Tags, law: ContactLaw,
+        material: bool, tags: Tags, law: ContactLaw, wet: bool = False,
     ):  # fmt: skip
         self.body, self.points, self.u = body, points, u
         self.surface, self.material, self.tags, self.law = surface, material, tags, law
         # slip makes the tangent unsymmetric
         self.symmetric = not law.friction
         self._cell: float | None = None
+        # fused steps know no water
+        self.wet, self.fusable = wet, not wet
         first = f"contact{self._number()}"
         self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
         self.dissipated = 0.0
@@ -84,7 +95,7 @@ class RigidContact(Term):
             known[own] = next(counter)
         return int(known[own])
 
-    kind, definite, fusable = "contact", False, True
+    kind, definite = "contact", False
 
     @property
     def loads(self) -> list[Any]:
@@ -105,6 +116,11 @@ class RigidContact(Term):
             ParameterError: The penalty needs Young's modulus, and a point has none.
         """
         points, names = self.points, self.names
+        if self.wet and "pressure" not in points.fields:
+            raise FormError(
+                f"{self!r} has a pore_pressure, and the form has no water: take the form of "
+                "mpm.poromechanics, or leave it out"
+            )
         count = corner_count(points.gdim, self.surface)
         points.add_field(names.tangential_force, (count, points.gdim), "N")
         points.add_field(names.normal_force, (count,), "N")
@@ -155,9 +171,10 @@ class RigidContact(Term):
         """See `Term`."""
         law = self.law
         limit = "" if law.shear_limit is None else f", shear_limit = {law.shear_limit:g}"
+        water = ", of the effective pressure" if self.wet else ""
         return (
-            f"friction = {law.friction:g}{limit}, penalty = {law.penalty:g}, stiffness_per_area = "
-            f"{law.stiffness}, tag = {self.tags}"
+            f"friction = {law.friction:g}{limit}{water}, penalty = {law.penalty:g}, "
+            f"stiffness_per_area = {law.stiffness}, tag = {self.tags}"
         )
 
     def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
@@ -193,6 +210,19 @@ class RigidContact(Term):
             stored += float(slip_energy(tangential[on], k[on], self.law.slip_share).sum())
         return stored
 
+    def water_at(self, rows: npt.NDArray[np.integer], x: Array) -> Array:
+        """Pressure of the pore water that does not rub, at the start of a step (Pa), shape (n,).
+
+        Args:
+            rows: Points of the corners, shape (n,).
+            x: Positions of the corners (m), shape (n, gdim).
+        """
+        if not self.wet:
+            return np.zeros(rows.size)
+        points = self.points
+        away = x - points["x"][rows]
+        return points["pressure"][rows] + np.sum(points["pressure_gradient"][rows] * away, axis=1)
+
     def stiffness_at(self, rows: npt.NDArray[np.integer]) -> Array:
         """Penalty per area at some points (Pa/m), shape (len(rows),)."""
         law = self.law
@@ -221,6 +251,7 @@ def contact(
     penetration: float | None = None,
     surface: Surface | None = None,
     corners: str | None = None,
+    pore_pressure: Any = None,
     tag: int | tuple[int, ...] | None = None,
 ) -> ufl.Form:
     """Contact with a rigid body, a term to add to the internal forces: F += contact(...).
@@ -259,6 +290,9 @@ def contact(
         corners: "domains" for corners of the points' domains, "material" for corners that turn
             and shear with the points' material, see `dolfinmpm.contact.corners`. The default is
             "material" for marked faces, and else "domains", for flowing soil.
+        pore_pressure: Pore pressure of soil and water, the unknown p of `poromechanics`. Friction
+            is then that of the effective pressure: the pressure of the contact less that of the
+            water at the start of the step. Without it the water rubs, too.
         tag: Tag or tags of the points that can touch. None means all points of the field of u.
 
     Raises:
@@ -301,5 +335,13 @@ def contact(
     if tags is None:
         # corners of points outside the field of u would not move
         tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
-    term = RigidContact(body, points, u, surface, corners == "material", tags, law)
+    wet = pore_pressure is not None
+    if wet and not (isinstance(pore_pressure, Expr) and pore_pressure.ufl_shape == ()):
+        raise ParameterError(
+            f"pore_pressure = {shown(pore_pressure)} must be the pressure of the problem, the "
+            "Space.increment of its space"
+        )
+    if not friction:
+        refuse_idle("pore_pressure", pore_pressure, None, "it lessens friction: give friction=")
+    term = RigidContact(body, points, u, surface, corners == "material", tags, law, wet)
     return as_form(term, u, v)

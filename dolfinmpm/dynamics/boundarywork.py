@@ -24,6 +24,7 @@ __all__ = [
     "boundary_forces",
     "forces_without_contact",
     "has_walls",
+    "pending_work",
     "wall_forces",
     "works_of_boundaries",
 ]
@@ -118,3 +119,20 @@ def works_of_boundaries(
             works[0] -= condition.own_work(fields, moved)
     here.unknowns.comm.Allreduce(MPI.IN_PLACE, works, op=MPI.SUM)
     return float(works[0]), float(works[1])
+
+
+def pending_work(operator: Operator, start: Sequence[Array] | None, moved: Array) -> float:
+    """Work of boundaries on the motion of a step in "usf", which counts in the next step (J).
+
+    Collective.
+
+    Args:
+        operator: The step's equations.
+        start: See `works_of_boundaries`.
+        moved: Increments of the motion (m), shape (nodes, d).
+    """
+    if start is None:
+        return 0.0
+    at = operator.here.unknowns.fields[0].owned_nodes
+    done = -float(np.sum((start[0] * moved)[at]))
+    return operator.here.unknowns.comm.allreduce(done, op=MPI.SUM)

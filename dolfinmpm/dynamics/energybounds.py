@@ -130,7 +130,7 @@ class EnergyBalance:
                 before the call. This change is no fault.
         """
         ledger, work = self.ledger, self.ledger.work
-        total = ledger.moving() + work.internal - work.external
+        total = ledger.moving() + work.internal - work.external - work.pending
         if self._first is None:
             self._first = self._last = total
             strain = ledger.energies().strain

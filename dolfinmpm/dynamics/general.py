@@ -26,7 +26,7 @@ from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
-from dolfinmpm.dynamics.boundarywork import boundary_forces, works_of_boundaries
+from dolfinmpm.dynamics.boundarywork import boundary_forces, pending_work, works_of_boundaries
 from dolfinmpm.dynamics.clock import velocities_at
 from dolfinmpm.dynamics.energies import lateness, lateness_by_contact, mapping_loss, stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, strain_by, strain_interval
@@ -161,6 +161,8 @@ class GeneralSteps(ExplicitBase):
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         boundary_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
+        if settings.scheme == "usf":
+            self._work.pending = pending_work(operator, at_start, dt * V_move)
         of_bodies = problem.bodies.commit(problem.bodies.acting(operator))
         self._work.external += boundary_work + of_bodies
         return commit(points, state)

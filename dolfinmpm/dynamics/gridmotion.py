@@ -117,7 +117,7 @@ class GridMotion:
         for k in here.movers:
             self._sides.on(here.fields[k].basis, step, here.fields[k].C)
         self.boundary_forces = None
-        if self._starting or self.rule.by_forces or form.boundaries:
+        if self._starting or self.rule.by_forces or form.has_boundary_forces:
             plain = Operator(form, here)
             plain.move_to_start()
             self.boundary_forces = boundary_forces(plain)
@@ -228,7 +228,13 @@ class GridMotion:
 
     @stages.commit
     def to_points(
-        self, operator: Operator, state: NewState, x: Array, scale: float, may_halve: bool
+        self,
+        operator: Operator,
+        state: NewState,
+        x: Array,
+        scale: float,
+        may_halve: bool,
+        on_boundaries: float,
     ) -> str | None:
         """Add the points' new motion to a new state, after `end`. Collective.
 
@@ -240,6 +246,7 @@ class GridMotion:
             x: Unknowns at the level of balance, shape (owned,).
             scale: Increments at the end over increments at the level of balance.
             may_halve: Whether a step that makes energy may be halved.
+            on_boundaries: Work of the forces on boundaries (J).
 
         Returns:
             The reason to halve the step, or None.
@@ -248,7 +255,7 @@ class GridMotion:
         found = [self._from_nodes(one, operator) for one in self.nodes]
         kept = self.mapping.kept_share
         loads = work_of_loads(operator, x, scale, self.nodes, step.dt, self.varying, kept)
-        work = Work(external=loads)
+        work = Work(external=loads + on_boundaries)
         stored: dict[int, float] = {}
         work.add_stresses(points, state.fields, operator)
         for one in self.nodes:

@@ -74,6 +74,7 @@ class Work:
             kinetic energy at the time of positions less the kinetic energy of the velocities, see
             `dolfinmpm.dynamics.energies`.
         latest: Not a sum: work of the stresses at the end of the last step on its strains.
+        pending: Not a sum: work of boundaries that counts in the next step, in "usf".
     """
 
     external: float = 0.0
@@ -86,6 +87,7 @@ class Work:
     late: float = 0.0
     late_bodies: float = 0.0
     latest: float = 0.0
+    pending: float = 0.0
 
     @property
     def net(self) -> float:
@@ -101,7 +103,7 @@ class Work:
         self.start += other.start
         for name, loss in other.losses.items():
             self.losses[name] += loss
-        self.late, self.late_bodies = other.late, other.late_bodies
+        self.late, self.late_bodies, self.pending = other.late, other.late_bodies, other.pending
 
     def add_stresses(
         self, points: MaterialPoints, new: Mapping[str, Array], operator: Operator
@@ -157,8 +159,9 @@ class Energies:
             positions. So the kinetic energy is corrected to the time of the positions, see
             `dolfinmpm.dynamics.energies`. The same holds for free rigid bodies.
         strain: Elastic energy stored by the laws; NaN if a law has no energy.
-        external: Work of loads and prescribed motions since the first step. Terms in UFL that
-            depend on the increment, such as `Surface.pressure`, are in "integrator".
+        external: Work of loads and prescribed motions since the first step, of pressures that
+            follow a `Surface` or a `Boundary`, too. Terms of your own over the points that depend
+            on the increment are in "integrator".
         bodies: Kinetic energy of free rigid bodies.
         contact: Energy stored by the penalties of contacts and of walls (`signorini`).
         initial: Total energy before the first step, plus energy that the user gives between steps:

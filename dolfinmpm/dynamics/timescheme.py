@@ -291,9 +291,8 @@ class NewmarkScheme(TimedScheme):
         motion.end(operator)
         reason, largest = self._judge(operator.here, step.dt)
         if reason is None:
-            reason = motion.to_points(operator, state, x, scale, may_halve)
+            reason = motion.to_points(operator, state, x, scale, may_halve, boundary_work)
         if reason is None:
-            self.add_body_work(boundary_work)
             self.clock.largest = max(self.clock.largest, largest)
             self.clock.time, self.clock.last = step.t, step.dt
             self._end_free_bodies(problem, operator, step.dt)

@@ -224,7 +224,9 @@ def poromechanics(
         keeps.append(slope)
     if b is not None:
         refuse_hollow(points, fluid, n0, as_tags(tag))
-        terms -= (points.density + at.growth * water) * ufl.dot(b, v)
+        # the weight at the start is a load, whose work is known
+        terms -= points.density * ufl.dot(b, v)
+        terms -= at.growth * water * ufl.dot(b, v)
         heavy = carried(points, "density", points.density + end.growth * water, unit="kg/m^d")
         heavy.gravity = b
         keeps.append(heavy)

@@ -188,7 +188,7 @@ def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:
 
     Args:
         form: The weak form.
-        boundaries: Whether terms over boundaries that do not fit the grid count.
+        boundaries: Whether terms over boundaries, and over faces of points, count.
     """
     own = [term for d in form.parts.declarations for term in d.terms]
     increments = [space.increment for space in form.spaces]
@@ -196,7 +196,7 @@ def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:
         if term_of(integral) or any(integral.integrand() is term for term in own):
             continue
         metadata = integral.metadata() or {}
-        if "boundary" in metadata and not boundaries:
+        if not boundaries and ("boundary" in metadata or "surface" in metadata):
             continue
         inside = metadata.get("points")
         for term in summands(integral.integrand()):

@@ -115,6 +115,11 @@ class WeakForm:
         """Terms over the faces of points."""
         return [term for term in self.terms if isinstance(term, SurfaceTerm)]
 
+    @property
+    def has_boundary_forces(self) -> bool:
+        """Whether forces on boundaries or on faces of points depend on the increments."""
+        return bool(self.boundaries) or any(term.follows for term in self.surfaces)
+
     @cached_property
     def has_rates(self) -> bool:
         """Whether forces that move points have rates over `points.dt`."""

@@ -68,7 +68,16 @@ class SurfaceTerm(Term):
         if region is None or known is not here:
             region = self._region(here)
             self._known = here, region
-        return Evaluation([self.terms], self.points, here.unknowns, [region])
+        found = Evaluation([self.terms], self.points, here.unknowns, [region])
+        if self.follows:
+            # as forces on a boundary that does not fit the grid: their work is that of a load
+            found.kind = "boundary"
+        return found
+
+    @property
+    def follows(self) -> bool:
+        """Whether forces depend on the increments, as a pressure that follows the faces."""
+        return self.terms.internal is not None
 
     def _region(self, here: ActiveDomain) -> ActiveRegion:
         """Stencils of the faces on an activation."""

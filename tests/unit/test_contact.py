@@ -92,13 +92,14 @@ def test_contact_forces_have_their_derivative(friction, limit):
     held = np.zeros(m, bool)
     multiplier = np.where(rng.uniform(size=m) > 0.5, 0.4, 0.0)
     limits = np.full(m, limit)
+    water = np.where(rng.uniform(size=m) > 0.5, rng.uniform(-0.1, 0.5, m), 0.0)
 
     def forces(x):
         out = [np.empty((m, 3)), np.empty((m, 3)), np.empty(m), np.empty((m, 3, 3))]
         state = np.empty(m, np.int8)
         contact_forces(
-            *surface.probe(x), x, start, before, multiplier, eN, eT, friction, limits, held, *out,
-            state,
+            *surface.probe(x), x, start, before, multiplier, eN, eT, friction, limits, water, held,
+            *out, state,
         )  # fmt: skip
         return *out, state
 
@@ -109,13 +110,15 @@ def test_contact_forces_have_their_derivative(friction, limit):
     assert shears.any() == (limit < np.inf)
     sizes = np.linalg.norm(traction, axis=1)
     np.testing.assert_allclose(sizes[shears], limit, rtol=1e-12)
-    np.testing.assert_allclose(sizes[slips], friction * pressure[slips], rtol=1e-12)
+    rubs = friction * np.maximum(pressure - water, 0.0)
+    assert (friction == 0.0) or (rubs[slips] == 0.0).any()
+    np.testing.assert_allclose(sizes[slips], rubs[slips], rtol=1e-12)
     steps = 1e-6 * np.eye(3)
     numeric = np.stack([(forces(at + s)[0] - forces(at - s)[0]) / 2e-6 for s in steps], axis=2)
     same = np.all([forces(at + s)[-1] == state for s in (*steps, *-steps)], axis=0)
     assert same.mean() > 0.9
     np.testing.assert_allclose(slope[same], numeric[same], atol=2e-5)
-    bound = np.minimum(friction * pressure, limit) * (1 + 1e-12)
+    bound = np.minimum(rubs, limit) * (1 + 1e-12)
     assert np.all(sizes <= bound)
     np.testing.assert_allclose(np.sum(traction * surface.probe(at)[1], axis=1), 0, atol=1e-12)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from test_poromechanics import LAW, block, check_tangent, held
 
 import dolfinmpm as mpm
@@ -159,3 +160,28 @@ def test_a_pressure_at_a_side_goes_evenly_over_each_step(rho_inf):
             pressures.append(points["pressure"].mean())
         found.append(np.array(pressures))
     np.testing.assert_allclose(found[1], found[0], atol=0.02 * found[0].max())
+
+
+def test_wet_soil_slides_on_a_plane_in_whole_steps():
+    """Its weight is a load. Its work had counted as energy that steps make: all were halved."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(13) * 0.25, np.arange(7) * 0.25])
+    points = mpm.fill(grid, mpm.Box((1.0, 0.0), (2.5, 0.75)), 2, 1900.0)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    u, v, p, q = V.increment, V.test, Q.increment, Q.test
+    mu, b = 0.1, (-4.9, -8.5)
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(2e7, 0.3), points, (u, p), (v, q), permeability=1e-5, porosity=0.4,
+        gravity=fem.Constant(grid, b),
+    )  # fmt: skip
+    plane = mpm.RigidBody(mpm.Plane((0, 0), (0, 1)), name="plane")
+    F += mpm.contact(plane, points, u, v, friction=mu, penalty=20.0)
+    problem = mpm.Newmark(F, [u, p], points, stabilisation=["ghost"] * 2, tolerance=1e-6)
+    for t in mpm.times(0.3, dt=0.01):
+        problem.step(t)
+    assert sum(record.parts for record in problem.history) == 30
+    moved = grid.comm.allreduce((points["x"] - points["x0"])[:, 0].sum()) / points.total
+    assert moved == pytest.approx(0.045 * (b[0] - mu * b[1]), rel=0.01)
+    weight = 1900.0 * 1.5 * 0.75
+    e = problem.energies()
+    assert e.external == pytest.approx(weight * moved * b[0], rel=0.01)
+    assert abs(e["integrator"]) < 0.01 * e.external
