@@ -239,7 +239,7 @@ INPUTS = {
     "study.rigid_modes(s.solver())": "here = a QuasiStatic must be a Activation: give",
     "study.factor_of_safety(None)": "loading = None must be an mpm.QuasiStatic or",
     "study.factor_of_safety(s.solver(), 2.0, 1.0)": "low = 2.0 and high = 1.0 must be positive and",
-    "study.factor_of_safety(s.solver(), tolerance=0)": "tolerance = 0 must be a positive number",
+    "study.factor_of_safety(s.solver(), tolerance=0)": "tolerance = 0 must be above 0",
     "study.factor_of_safety(s.solver(), growth=0.5)": "growth = 0.5 must be more than 1, usually",
     "study.reduced_strength(1.0, 20.0, 0)": "factor = 0 must be above 0",
     "study.reduced_strength(-1.0, 20.0, 1.0)": "cohesion = -1 Pa must be at least 0",

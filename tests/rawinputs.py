@@ -53,7 +53,7 @@ RAW = {
     "turned box: angle": (lambda s: mpm.TurnedBox((0, 0), (1, 1), "a"), "angle = 'a' must be a n"),
     "plane: words": (lambda s: mpm.Plane("ab", "cd"), "point = 'ab' must be numbers"),
     "cone: words": (lambda s: mpm.Cone("abc", 1, 30, 10), "tip = 'abc' must be numbers"),
-    "wedge: words": (lambda s: mpm.Wedge("ab", 30, 10), "tip = 'ab' must be numbers"),
+    "wedge: words": (lambda s: mpm.Wedge("ab", 30, 10), "tip = 'ab' must be 2 finite numbers"),
     # -- forms
     "gradient: a number": (lambda s: mpm.gradient(s.points, 3.0), r"w = 3\.0 must be a field of U"),
     "gradient: no points": (lambda s: mpm.gradient(None, s.u), "points = None must be material p"),

@@ -344,8 +344,7 @@ def nearest(given: Any, known: Iterable[str], quote: str = "", least: float = 0.
         quote: Mark before and after the known word.
         least: Least similarity (-).
     """
-    words = known if isinstance(given, str) else ()
-    near = difflib.get_close_matches(given, words, 1, least)
+    near = difflib.get_close_matches(given, known, 1, least) if isinstance(given, str) else []
     return f"; did you mean {quote}{near[0]}{quote}?" if near else ""
 
 

@@ -189,7 +189,11 @@ def _check_arguments(shape: Any, per_cell: Any, aligned: Any, tag: Any) -> str:
             False: "use mpm.Box, Ball, Polygon or Where(condition), joined with |, & and -",
         }[isinstance(shape, MaterialPoints)]
         raise ParameterError(f"fill takes one shape, got a {type(shape).__name__}; {hint}")
-    whole("per_cell", per_cell, 1, math.inf)
+    if not isinstance(per_cell, (int, np.integer)) or isinstance(per_cell, bool) or per_cell < 1:
+        raise ParameterError(
+            f"per_cell = {shown(per_cell)} must be a whole number of at least 1: the number of "
+            "points per cell and direction, such as 2 for 2² points per square"
+        )
     whole("tag", tag, 0, np.iinfo(np.int32).max)
     return choice("aligned", aligned, ("grid", "body"))
 

@@ -18,7 +18,7 @@ from dolfinmpm.contact.contactpairs import TOUCHES
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
 from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, DisplacementBasis, Rows, Which
-from dolfinmpm.contact.heldcorners import HeldCorners, overlap_of
+from dolfinmpm.contact.heldcorners import HeldCorners, growth_of, overlap_of
 from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.tunnelling import (
@@ -27,7 +27,6 @@ from dolfinmpm.contact.tunnelling import (
     unlisted_entered,
     warn_of_overlap,
 )
-from dolfinmpm.cut.activation import ActiveDomain
 
 if TYPE_CHECKING:
     from dolfinmpm.contact.rigidcontact import RigidContact
@@ -135,15 +134,6 @@ class ActiveRigidContact(ActiveContact):
             contact.water_at(c.rows, c.x) * areas,
         )  # fmt: skip
 
-    @staticmethod
-    def on(contact: RigidContact, here: ActiveDomain) -> ActiveRigidContact:
-        """A contact on an activation. Collective."""
-        k = next(k for k, f in enumerate(here.fields) if f.space.increment is contact.u)
-        displacement = DisplacementBasis.of(
-            here.fields[k], here.total, len(contact.points), contact.in_time
-        )
-        return ActiveRigidContact(contact, displacement, k, mean_weights=contact.mean_weights)
-
     def fault(self, new: NewState) -> str | None:
         """See `ActiveContact`: points that passed through the body or entered it. Collective."""
         if not new.moves:
@@ -195,7 +185,9 @@ class ActiveRigidContact(ActiveContact):
             meets[c] &= probe[0] < rounding[c]
         moved = self.now.path > _ROUNDING * np.abs(at).max(initial=0.0)
         # at the start of a step the closing of the last step counts
-        closing = self.start.gap[c] - probe[0] if moved.any() else self.start.closing[c]
+        closing = self.start.closing[c]
+        if moved.any():
+            closing = self.start.gap[c] - probe[0] - growth_of(self.held, c)
         self._compute(c, at, probe, holds | meets, closing)
         if self.contact.law.friction and meets.any():
             self._stick(c[meets[c]], probe[1][meets[c]])
@@ -250,7 +242,7 @@ class ActiveRigidContact(ActiveContact):
             own[c] = values
         now.gap[c], now.states[c] = probe[0] + overlap, state
         if self._explicit:
-            found[0] -= explicit_reduction(probe[0], closing, found[2])[:, None] * probe[1]
+            found[0] -= explicit_reduction(now.gap[c], closing, found[2])[:, None] * probe[1]
             now.closed[c] = closing
         now.forces[c] = self.contact.body.pose.directions(found[0])
 
@@ -386,14 +378,16 @@ class ActiveRigidContact(ActiveContact):
         return self.overlapping() + self.contact.points.comm.allreduce(slip, op=MPI.SUM)
 
     def dissipated(self) -> float:
-        """Work dissipated by friction in this step (J), on all ranks. Collective."""
+        """Work dissipated by friction and held corners in this step (J). Collective."""
         slips = np.flatnonzero(self.states >= SLIPS)
         done = float(self.now.loss.sum())
+        if self.held is not None and self.mean_weights is None:
+            done += self.held.lost(self.start.normal_force, self.now.normal)
         if slips.size and self.mean_weights is None:
             at = self.contact.body.pose.back(self.x[slips])
             n = self.contact.body.surface.probe(at)[1]
             stiffness = self.contact.law.slip_share * self.start.stiffness[slips]
             slip = at - self.local_start[slips]
             before = self.start.tangential[slips]
-            done = float(slip_work(self.now.tangential[slips], before, slip, n, stiffness).sum())
+            done += float(slip_work(self.now.tangential[slips], before, slip, n, stiffness).sum())
         return self.contact.points.comm.allreduce(done, op=MPI.SUM)

@@ -21,11 +21,13 @@ side do not: a plate that presses a thin layer against the base must not enter i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx.mesh import Mesh
 
 from dolfinmpm.body.location import bounds
 from dolfinmpm.contact.contactpoints import ContactForces, ContactStart, CornerFields
@@ -33,15 +35,35 @@ from dolfinmpm.contact.meanforces import normal_energy
 
 if TYPE_CHECKING:
     from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
-    from dolfinmpm.cut.activation import Activation
 
-__all__ = ["HeldCorners", "overlap_of"]
+__all__ = ["HeldCorners", "growth_of", "held_components", "overlap_of"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
+Mask = npt.NDArray[np.bool_]
 
 # Distance of nodes from a side that is rounding, as a share of the grid's length
 _ON_SIDE = 1e-9
+
+
+def held_components(grid: Mesh, fixed: Mask, positions: Callable[[], Array]) -> Mask | None:
+    """Components of nodes that are held along a side of the grid, or None if there are none.
+
+    Collective.
+
+    Args:
+        grid: The grid.
+        fixed: Mask of the prescribed components, shape (nodes, gdim).
+        positions: Function that returns the positions of the nodes (m), shape (nodes, gdim).
+    """
+    low, high = bounds(grid)
+    if not fixed.any():
+        return None
+    x = positions()
+    on = np.minimum(np.abs(x - low), np.abs(x - high)) <= _ON_SIDE * (high - low).max()
+    # nodes of edges of the grid are held across one of their sides
+    held: Mask = fixed & ~on & on.any(axis=1)[:, None]
+    return held if held.any() else None
 
 
 @dataclass
@@ -64,30 +86,24 @@ class HeldCorners:
     now: Array
 
     @staticmethod
-    def of(active: ActiveRigidContact, here: Activation) -> HeldCorners | None:
-        """The held corners of a contact on an activation, or None if no held node is near.
+    def of(active: ActiveRigidContact, held: Mask | None, moved: Array) -> HeldCorners | None:
+        """The held corners of a contact, or None if no corner is held.
 
-        Collective.
+        Args:
+            active: The contact.
+            held: Held components at the nodes of its stencils, shape (nodes, gdim), or None.
+            moved: Prescribed increments there (m), likewise.
         """
-        contact, k, s = active.contact, active.field, active.corners.stencils
-        points, body = contact.points, contact.body
-        low, high = bounds(points.grid)
-        before = points[contact.names.overlap][active.corners.rows, active.corners.which]
-        fixed, kept = here.unknowns.fields[k].fixed[s.nodes], before.any()
-        if not (kept or fixed.any()):
-            return None
-        d = fixed.shape[1]
-        x = here.fields[k].basis.node_coordinates()[s.nodes, :d]
-        near = np.minimum(np.abs(x - low), np.abs(x - high))
-        on = near <= _ON_SIDE * (high - low).max()
-        # nodes of edges of the grid are held across one of their sides
-        held = fixed & ~on & on.any(axis=1)[:, None]
-        if not (kept or held.any()):
-            return None
-        share = s.of_nodes(held.astype(np.float64))
-        given = s.of_nodes(np.where(held, here.prescribed[k][s.nodes], 0.0))
+        contact, s = active.contact, active.corners.stencils
+        before = contact.points[contact.names.overlap][active.corners.rows, active.corners.which]
+        if held is None:
+            if not before.any():
+                return None
+            held = np.zeros(moved.shape, bool)
+        body = contact.body
         normal = body.start.directions(body.surface.probe(active.local_start)[1])
-        return HeldCorners(share, given, normal, before, before)
+        share = s.of_nodes(held.astype(np.float64))
+        return HeldCorners(share, s.of_nodes(np.where(held, moved, 0.0)), normal, before, before)
 
     def update(self, motion: Array) -> None:
         """Find the overlap for a motion of the body at the corners (m), shape (m, gdim)."""
@@ -111,6 +127,14 @@ class HeldCorners:
         )
         return np.asarray(before - now)
 
+    def lost(self, before: Array, now: Array) -> float:
+        """Work on the growth of the overlap in a step without mean forces (J).
+
+        Args:
+            before, now: Normal forces at the start and at the end of the step (N), shape (m,).
+        """
+        return float(np.sum(0.5 * (before + now) * (self.now - self.before)))
+
     def demanded(self, rows: Rows) -> Array:
         """Motion that corners must follow by a motion of the body, shape (n, gdim, gdim).
 
@@ -125,6 +149,11 @@ class HeldCorners:
         inside = np.maximum(self.now - now.gap, 0.0)
         kept = np.where(now.normal > 0.0, self.now, np.minimum(self.now, inside))
         return [(names.overlap, kept)]
+
+
+def growth_of(held: HeldCorners | None, rows: Rows) -> Array:
+    """Growth of the overlap of some corners in the step (m), shape (n,)."""
+    return np.zeros(rows.size) if held is None else (held.now - held.before)[rows]
 
 
 def overlap_of(held: HeldCorners | None, rows: Rows) -> Array:

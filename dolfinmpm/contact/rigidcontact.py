@@ -31,8 +31,8 @@ from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpoints import CornerFields
-from dolfinmpm.contact.corners import corner_count
-from dolfinmpm.contact.heldcorners import HeldCorners
+from dolfinmpm.contact.corners import DisplacementBasis, corner_count
+from dolfinmpm.contact.heldcorners import HeldCorners, held_components
 from dolfinmpm.contact.meanforces import MeanForceWeights, normal_energy, slip_energy
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activation import Activation
@@ -157,10 +157,16 @@ class RigidContact(Term):
 
     def on(self, here: Activation) -> ActiveRigidContact:
         """See `Term`. Collective."""
-        active = ActiveRigidContact.on(self, here)
-        # explicit steps take the forces at their start
-        if self.mean_weights is not None or not self.in_time:
-            active.held = HeldCorners.of(active, here)
+        k = next(k for k, f in enumerate(here.fields) if f.space.increment is self.u)
+        field, count = here.fields[k], len(self.points)
+        displacement = DisplacementBasis.of(field, here.total, count, self.in_time)
+        active = ActiveRigidContact(self, displacement, k, mean_weights=self.mean_weights)
+        nodes, d = active.corners.stencils.nodes, self.points.gdim
+        held = held_components(
+            self.points.grid, here.unknowns.fields[k].fixed[nodes],
+            lambda: field.basis.node_coordinates()[nodes, :d],
+        )  # fmt: skip
+        active.held = HeldCorners.of(active, held, here.prescribed[k][nodes])
         return active
 
     def summary(self) -> str:

@@ -83,8 +83,8 @@ class FusedSteps:
         self._basis: LatticeBasis = space.basis
         self._laws = Laws(points, form.parts.declarations)
         self._loads = FusedLoads(form)
-        self._rigid = RigidContacts(bodies, points) if bodies.contacts else None
-        self._prescribed = Prescribed(problem.essential_conditions)
+        self._prescribed = at_nodes = Prescribed(problem.essential_conditions)
+        self._rigid = RigidContacts(bodies, points, at_nodes) if bodies.contacts else None
         self.done = np.zeros(9)
         self._rate, self._worth = 0.0, Worth()
         self._growth = GROWTH[space.domains] if space.basis.averaged else 0

@@ -19,6 +19,7 @@ from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.corners import CornerLayout, DisplacementBasis, Rows, longest
+from dolfinmpm.contact.heldcorners import HeldCorners, held_components
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.contact.tunnelling import MARGIN, passed_through, travelled, unlisted_entered, within
@@ -26,7 +27,7 @@ from dolfinmpm.dynamics.energies import lateness_by_contact
 from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
-from dolfinmpm.dynamics.window import Exchange, Window
+from dolfinmpm.dynamics.window import Exchange, Prescribed, Window
 
 __all__ = ["RigidContacts"]
 
@@ -70,8 +71,9 @@ class NeighbourList:
         self.cell, self.distance = float(np.linalg.norm(cell)), math.inf
         self._bounded = self._layout().boxes
         # points that touched keep their forces until the end of the next step
-        normal_forces = self.contact.points[self.contact.names.normal_force]
-        self._touched = np.unique(np.flatnonzero(normal_forces) // normal_forces.shape[1])
+        points, names = self.contact.points, self.contact.names
+        kept = (points[names.normal_force] != 0.0) | (points[names.overlap] != 0.0)
+        self._touched = np.flatnonzero(kept.any(axis=1))
 
     def rows(self, path: float) -> Rows:
         """The points, increasing, with the body at the end of the step.
@@ -120,7 +122,11 @@ class NeighbourList:
         for name, values in active.end_state():
             points[name][self._touched] = 0.0
             points[name][c.rows, c.which] = values
-        self._touched = c.rows[active.now.normal != 0.0]
+        touch = active.now.normal != 0.0
+        if active.held is not None:
+            # corners without a force may keep an overlap
+            touch |= active.held.now > 0.0
+        self._touched = c.rows[touch]
 
     def _layout(self) -> CornerLayout:
         contact = self.contact
@@ -147,6 +153,7 @@ class RigidContacts:
     Args:
         bodies: The rigid bodies, with at least one contact.
         points: Material points.
+        prescribed: Prescribed velocities of the nodes.
 
     Attributes:
         work: Work done by the bodies since this attribute was last set (J), on all ranks.
@@ -156,10 +163,12 @@ class RigidContacts:
     _displacement: DisplacementBasis
     _exchange: Exchange | None
     _sums: Array
+    # components of nodes that are held along sides, and the mask of conditions that they are of
+    _held: tuple[Any, Any] = None, None
 
-    def __init__(self, bodies: RigidBodies, points: MaterialPoints):
+    def __init__(self, bodies: RigidBodies, points: MaterialPoints, prescribed: Prescribed):
         self._bodies, self._points, self.work = bodies, points, 0.0
-        self.late = 0.0, 0.0
+        self._prescribed, self.late = prescribed, (0.0, 0.0)
         self._near = [NeighbourList(contact) for contact in bodies.contacts]
         self._active: list[ActiveRigidContact] = []
         # largest motion of nodes in the last step (m)
@@ -181,6 +190,7 @@ class RigidContacts:
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
         for near in self._near:
             near.forget(self._displacement, cell)
+        self._find_held()
         margin = MARGIN * float(longest(points["l0"]).min(initial=math.inf))
         self._margin = points.comm.allreduce(margin, op=MPI.MIN)
 
@@ -215,7 +225,20 @@ class RigidContacts:
     def _made(self, near: NeighbourList, all_corners: bool = False) -> ActiveRigidContact:
         """A contact of the corners that may touch. Collective before the first step."""
         rows = near.rows(math.inf if all_corners else self._nodes_go)
-        return ActiveRigidContact(near.contact, self._displacement, 0, rows, near.distance)
+        active = ActiveRigidContact(near.contact, self._displacement, 0, rows, near.distance)
+        nodes, given = active.corners.stencils.nodes, self._prescribed.after
+        held = None if self._held[0] is None else self._held[0][nodes]
+        active.held = HeldCorners.of(active, held, self._dt * given[nodes])
+        return active
+
+    def _find_held(self) -> None:
+        """Find the components of nodes that are held along sides of the grid. Collective."""
+        window, fixed = self._window, self._prescribed.fixed
+        if fixed is not self._held[1]:
+            d = self._points.gdim
+            x = window.basis.node_coordinates
+            held = held_components(self._points.grid, fixed, lambda: window.from_basis(x()[:, :d]))
+            self._held = held, fixed
 
     @stages.assemble
     def press(self, out: Array) -> None:

@@ -115,3 +115,40 @@ def test_wall_in_time_keeps_account_of_the_energy():
     assert 0.0 < energies.external < 100.0
     assert abs(energies["integrator"]) < 0.01 * energies.external
     assert energies["friction"] > 0.0
+
+
+def explicit(fused, penalty=20.0, scheme="musl"):
+    """The problem after the wall has pushed for 0.1 s, and the mean force in the second half."""
+    block, T, n = Block(), 0.1, 20
+    block.points.add_field("velocity", (2,), "m/s")
+    u, v = block.space.increment, block.space.test
+    body = mpm.RigidBody(mpm.Plane((0, 0), (1, 0)), velocity=(3 * PUSH / T, 0.0))
+    F = block.form + mpm.contact(body, block.points, u, v, penalty=penalty)
+    bcs = mpm.fixed(block.space, "bottom") + mpm.rollers(block.space, "right")
+    problem = mpm.Explicit(F, u, block.points, bcs, fused=fused, scheme=scheme)
+    forces = []
+    for k in range(n):
+        problem.step(T * (k + 1) / n)
+        forces.append(body.force[0])
+    assert (problem.unfused == "") == fused
+    return problem, np.mean(forces[n // 2 :])
+
+
+@pytest.mark.parametrize("scheme", ["musl", "usf"])
+def test_fused_steps_hold_the_same_corners(scheme):
+    one, force = explicit(True, scheme=scheme)
+    other, same = explicit(False, scheme=scheme)
+    assert force == pytest.approx(same, rel=1e-8)
+    for name in ("x", "contact1_overlap", "contact1_normal_force"):
+        a, b = (p[name][np.argsort(p["id"])] for p in (one.points, other.points))
+        assert np.abs(a - b).max() < 1e-9 * max(np.abs(b).max(), 1.0)
+    assert one.points["contact1_overlap"].max() > PUSH
+    for name in ("integrator", "friction"):
+        both = one.energies()[name], other.energies()[name]
+        assert abs(both[0] - both[1]) < 1e-8 * abs(one.energies().external)
+
+
+def test_explicit_wall_does_not_push_the_base():
+    soft, hard = (explicit(True, penalty)[1] for penalty in (20.0, 200.0))
+    # without overlap the force is four times as large with ten times the penalty
+    assert 0.0 < -hard < -1.5 * soft
