@@ -295,7 +295,9 @@ def test_solid_3d_by_factors(tmp_path):
     assert (tmp_path / "solid_3d_block.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize(("scene", "cells"), [("solid", "14"), ("sand", "45")])
+@pytest.mark.parametrize(
+    ("scene", "cells"), [pytest.param("solid", "14", marks=pytest.mark.long), ("sand", "45")]
+)
 def test_runs_repeat_to_the_last_bit(scene, cells):
     """In one process and in another, with multigrid, and with incomplete factors or LU."""
     options = "--cells", cells, "--count", "1", "--within", "2", "--steps", "2", "--busy"

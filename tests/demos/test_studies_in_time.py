@@ -69,6 +69,7 @@ def test_cantilever_swing(tmp_path):
     assert (tmp_path / "cantilever_swing.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_the_cantilever_swings_by_explicit_steps_of_a_length_of_their_own():
     options = "--integrator explicit --h 0.5 --duration 0.5"
     figures = run("cantilever_swing", "--no-plot", *options.split())
@@ -162,6 +163,7 @@ def test_colliding_discs(tmp_path):
     assert (tmp_path / "colliding_discs.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_discs_of_another_radius_take_cells_and_ways_of_their_size(tmp_path):
     figures = run("colliding_discs", "--radius", "0.5", "--output", str(tmp_path))
     assert figures["points"] == 416

@@ -24,6 +24,7 @@ def test_impact_keeps_energy(integrator):
     assert found["kept"] >= 99.9
 
 
+@pytest.mark.long
 def test_explicit_impacts_keep_energy():
     found = energies("--scene", "impact", "--integrator", "explicit")
     assert found["most"] <= 100.02
@@ -36,6 +37,7 @@ def test_explicit_impacts_keep_energy():
     assert found["worst"] >= 99.8
 
 
+@pytest.mark.long
 def test_impact_with_friction_loses_its_work():
     found = energies("--scene", "impact", "--friction", "0.3", "--stabilisation", "aggregation")
     assert found["most"] <= 100.001
@@ -44,12 +46,14 @@ def test_impact_with_friction_loses_its_work():
     assert 100.0 - found["kept"] == pytest.approx(friction, rel=5e-3)
 
 
+@pytest.mark.long
 def test_two_discs_meet():
     found = energies("--scene", "discs", "--dt", "2e-3", "--stabilisation", "aggregation")
     assert found["most"] <= 100.1
     assert found["kept"] >= 99.8
 
 
+@pytest.mark.long
 def test_bodies_that_meet_make_no_energy():
     """A flush box whose edge hits at coarse steps made 2.4 %, discs off-centre .5 %."""
     assert energies("--scene", "impacts", "--first", "43", "--count", "1")["most"] <= 100.1

@@ -158,6 +158,7 @@ def test_a_figure_that_is_not_finite():
     assert any("the figure 'y' is nan after step 1" in row["failed"] for row in fit.trace)
 
 
+@pytest.mark.long
 def test_ends_of_parameters_are_told():
     """Bounds that hold a parameter back, and a positive parameter whose best value is below 0."""
     y = -1.0 + 2.0 * np.arange(1, 4)
@@ -255,6 +256,7 @@ def test_measurements_of_zero():
     assert fit.notes == ["the measurements do not depend on a^+1.00"]
 
 
+@pytest.mark.long
 def test_only_figures_can_be_drawn():
     fit = study.calibrate(of_steps(lambda m, _: m["a"]), {"a": 5e6}, {"y": np.ones(6)})
     with pytest.raises(UnknownNameError, match="no figure 'a'; measured are y"):

@@ -334,6 +334,7 @@ def test_places_have_the_dimension_of_the_box():
         line.at("here", xi)
 
 
+@pytest.mark.long
 def test_a_limit_that_is_never_reached(openturns):
     given = {"E": study.LogNormal(1e6, 0.1)}
     match = r"'margin' is 9.99005e\+08 at the medians, .* 1.01e\+04 standard deviations away"

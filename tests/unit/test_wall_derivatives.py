@@ -70,7 +70,7 @@ def test_derivatives_are_differences_of_whole_runs():
 @pytest.mark.parametrize(
     ("name", "ends", "step", "side"),
     [
-        ("friction", (0.05, 0.9), 3, 0),
+        pytest.param("friction", (0.05, 0.9), 3, 0, marks=pytest.mark.long),
         pytest.param("gap", (0.001, 0.02), 2, 1, marks=pytest.mark.long),
         pytest.param("friction", (0.05, 0.9), 3, 1, marks=pytest.mark.long),
         pytest.param("gap", (0.001, 0.02), 2, 0, marks=pytest.mark.long),
