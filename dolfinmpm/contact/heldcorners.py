@@ -96,7 +96,7 @@ class HeldCorners:
         """
         contact, s = active.contact, active.corners.stencils
         before = contact.points[contact.names.overlap][active.corners.rows, active.corners.which]
-        if held is None:
+        if held is None or not held.any():
             if not before.any():
                 return None
             held = np.zeros(moved.shape, bool)
@@ -121,11 +121,8 @@ class HeldCorners:
         """
         k = start.stiffness[rows]
         q = start.multiplier[rows] - k * start.gap[rows]
-        before, now = (
-            normal_energy(q - k * self.before[rows], k),
-            normal_energy(q - k * self.now[rows], k),
-        )
-        return np.asarray(before - now)
+        first, last = (normal_energy(q - k * d[rows], k) for d in (self.before, self.now))
+        return np.asarray(first - last)
 
     def lost(self, before: Array, now: Array) -> float:
         """Work on the growth of the overlap in a step without mean forces (J).
