@@ -210,8 +210,8 @@ ROWS = (
         each("colliding_discs", TOUCHING, f"{TOUCHING} --h 0.025"),
         keys("min_kinetic", "rebound"), "{:.3f}, {:.3f}; {:.3f}, {:.3f}",
         "conforming elements: 0.053, 0.908"),
-    Row("wall", STEEL, "smooth retaining wall, φ = 33.5°: error of the thrust, passive, active (%); "
-        "passive on a fixed base, cells of 1/8, 1/16 of its height",
+    Row("wall", STEEL, "smooth retaining wall, φ = 33.5°: error of the thrust, passive, active (%) "
+        "and passive on a fixed base, cells of 1/8, 1/16 of its height",
         each("retaining_wall", "", "--direction active", ROUGH, f"{ROUGH} --h 0.0625"),
         percent("thrust_error"), "{:+.2f}, {:+.2f}; {:+.1f}, {:+.1f}", "Rankine: 0"),
     Row("wedge", STEEL, "wedge into clay, semi-angle 15°, 20°, 30°, 45°: error of the slope of the "
