@@ -70,11 +70,8 @@ class RigidContact(Term):
     ):  # fmt: skip
         self.body, self.points, self.u = body, points, u
         self.surface, self.material, self.tags, self.law = surface, material, tags, law
-        # slip makes the tangent unsymmetric
-        self.symmetric = not law.friction
         self._cell: float | None = None
-        # fused steps know no water
-        self.wet, self.fusable = wet, not wet
+        self.wet = wet
         first = f"contact{self._number()}"
         self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
         self.dissipated = 0.0
@@ -96,6 +93,16 @@ class RigidContact(Term):
         return int(known[own])
 
     kind, definite = "contact", False
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """See `Term`: slip makes the tangent unsymmetric."""
+        return not self.law.friction
+
+    @property
+    def fusable(self) -> bool:  # type: ignore[override]
+        """See `Term`: fused steps know no water."""
+        return not self.wet
 
     @property
     def loads(self) -> list[Any]:

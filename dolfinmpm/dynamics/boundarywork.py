@@ -121,7 +121,9 @@ def works_of_boundaries(
     return float(works[0]), float(works[1])
 
 
-def pending_work(operator: Operator, start: Sequence[Array] | None, moved: Array) -> float:
+def pending_work(
+    operator: Operator, start: Sequence[Array] | None, moved: Array, scheme: str
+) -> float:
     """Work of boundaries on the motion of a step in "usf", which counts in the next step (J).
 
     Collective.
@@ -130,8 +132,9 @@ def pending_work(operator: Operator, start: Sequence[Array] | None, moved: Array
         operator: The step's equations.
         start: See `works_of_boundaries`.
         moved: Increments of the motion (m), shape (nodes, d).
+        scheme: Order of the step; only in "usf" work is pending.
     """
-    if start is None:
+    if start is None or scheme != "usf":
         return 0.0
     at = operator.here.unknowns.fields[0].owned_nodes
     done = -float(np.sum((start[0] * moved)[at]))

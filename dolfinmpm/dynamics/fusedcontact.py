@@ -39,6 +39,34 @@ Array = npt.NDArray[np.float64]
 _SPARE, _LEAST = 2.0, 0.04
 
 
+class HeldNodes:
+    """Nodes of a window that are held along sides of the grid.
+
+    Args:
+        prescribed: Prescribed velocities of the nodes.
+    """
+
+    _mask: npt.NDArray[np.bool_] | None = None
+    _of: npt.NDArray[np.bool_] | None = None
+
+    def __init__(self, prescribed: Prescribed):
+        self._prescribed = prescribed
+
+    def find(self, window: Window, points: MaterialPoints) -> None:
+        """Find them in a window, unless the conditions' nodes are the same. Collective."""
+        fixed, x = self._prescribed.fixed, window.basis.node_coordinates
+        if fixed is not self._of:
+            d = points.gdim
+            found = held_components(points.grid, fixed, lambda: window.from_basis(x()[:, :d]))
+            self._mask, self._of = found, fixed
+
+    def corners(self, active: ActiveRigidContact, dt: float) -> HeldCorners | None:
+        """The corners that they hold in a step of the length dt (s)."""
+        nodes, given = active.corners.stencils.nodes, self._prescribed.after
+        held = None if self._mask is None else self._mask[nodes]
+        return HeldCorners.of(active, held, dt * given[nodes])
+
+
 class NeighbourList:
     """Points that may touch a body until points and body have moved by a cell.
 
@@ -46,9 +74,10 @@ class NeighbourList:
 
     Args:
         contact: The contact.
+        held: Nodes that are held along sides of the grid.
 
     Attributes:
-        contact: The argument.
+        contact, held: The arguments.
         distance: Largest distance from the body of corners that can touch in this step (m);
             infinite if it is unknown.
         cell: Largest motion of a point across a cell in one direction (m).
@@ -57,8 +86,8 @@ class NeighbourList:
     _rows: Rows | None = None
     _left = 0.0
 
-    def __init__(self, contact: RigidContact):
-        self.contact = contact
+    def __init__(self, contact: RigidContact, held: HeldNodes):
+        self.contact, self.held = contact, held
 
     def forget(self, displacement: DisplacementBasis, cell: Array) -> None:
         """List the points anew before the next step: points have changed, or their order.
@@ -163,13 +192,12 @@ class RigidContacts:
     _displacement: DisplacementBasis
     _exchange: Exchange | None
     _sums: Array
-    # components of nodes that are held along sides, and the mask of conditions that they are of
-    _held: tuple[Any, Any] = None, None
 
     def __init__(self, bodies: RigidBodies, points: MaterialPoints, prescribed: Prescribed):
         self._bodies, self._points, self.work = bodies, points, 0.0
-        self._prescribed, self.late = prescribed, (0.0, 0.0)
-        self._near = [NeighbourList(contact) for contact in bodies.contacts]
+        self.late = 0.0, 0.0
+        held = HeldNodes(prescribed)
+        self._near = [NeighbourList(contact, held) for contact in bodies.contacts]
         self._active: list[ActiveRigidContact] = []
         # largest motion of nodes in the last step (m)
         self._nodes_go = 0.0
@@ -190,7 +218,7 @@ class RigidContacts:
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
         for near in self._near:
             near.forget(self._displacement, cell)
-        self._find_held()
+            near.held.find(window, points)
         margin = MARGIN * float(longest(points["l0"]).min(initial=math.inf))
         self._margin = points.comm.allreduce(margin, op=MPI.MIN)
 
@@ -226,19 +254,8 @@ class RigidContacts:
         """A contact of the corners that may touch. Collective before the first step."""
         rows = near.rows(math.inf if all_corners else self._nodes_go)
         active = ActiveRigidContact(near.contact, self._displacement, 0, rows, near.distance)
-        nodes, given = active.corners.stencils.nodes, self._prescribed.after
-        held = None if self._held[0] is None else self._held[0][nodes]
-        active.held = HeldCorners.of(active, held, self._dt * given[nodes])
+        active.held = near.held.corners(active, self._dt)
         return active
-
-    def _find_held(self) -> None:
-        """Find the components of nodes that are held along sides of the grid. Collective."""
-        window, fixed = self._window, self._prescribed.fixed
-        if fixed is not self._held[1]:
-            d = self._points.gdim
-            x = window.basis.node_coordinates
-            held = held_components(self._points.grid, fixed, lambda: window.from_basis(x()[:, :d]))
-            self._held = held, fixed
 
     @stages.assemble
     def press(self, out: Array) -> None:

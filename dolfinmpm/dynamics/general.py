@@ -149,8 +149,7 @@ class GeneralSteps(ExplicitBase):
         if isinstance(state, str):
             return state
         self._watch(operator, True)
-        motion = V, V_end, V_move
-        was = momenta.arrays[0], settings.mapping.kept_share
+        motion, was = (V, V_end, V_move), (momenta.arrays[0], settings.mapping.kept_share)
         self._work.external += work_at_nodes(operator, mass, forces, motion, step, *was)
         self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, step.kick)
         self._work.add_stresses(points, state.fields, operator)
@@ -161,8 +160,7 @@ class GeneralSteps(ExplicitBase):
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         boundary_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
-        if settings.scheme == "usf":
-            self._work.pending = pending_work(operator, at_start, dt * V_move)
+        self._work.pending = pending_work(operator, at_start, dt * V_move, settings.scheme)
         of_bodies = problem.bodies.commit(problem.bodies.acting(operator))
         self._work.external += boundary_work + of_bodies
         return commit(points, state)

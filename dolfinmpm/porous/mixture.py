@@ -225,8 +225,7 @@ def poromechanics(
     if b is not None:
         refuse_hollow(points, fluid, n0, as_tags(tag))
         # the weight at the start is a load, whose work is known
-        terms -= points.density * ufl.dot(b, v)
-        terms -= at.growth * water * ufl.dot(b, v)
+        terms += -points.density * ufl.dot(b, v) - at.growth * water * ufl.dot(b, v)
         heavy = carried(points, "density", points.density + end.growth * water, unit="kg/m^d")
         heavy.gravity = b
         keeps.append(heavy)
@@ -240,9 +239,7 @@ def poromechanics(
     marks = {**dX.metadata(), CARRIED: tuple(keeps), PENALTY: penalty, UNIT: {p: unit}}
     form += terms * dX(metadata=marks)
     on = {"drained": drained, "seepage": seepage, "inflow": inflow, "ponded": ponded}
-    for part in _surface_terms(through, weight, v, as_tags(tag), on):
-        form += part
-    return form
+    return sum(_surface_terms(through, weight, v, as_tags(tag), on), form)
 
 
 def _slope(points: MaterialPoints, gradient: Expr) -> CarriedField:
