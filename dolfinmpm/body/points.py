@@ -85,7 +85,8 @@ class MaterialPoints(PointTable):
 
     Points are made by `fill`, `from_arrays`, `from_csv`, `from_mesh`, and `a + b`, which call the
     constructor. Arrays in `fields` change their sizes when points are added or removed, or change
-    rank: read them again after each step.
+    rank, and explicit steps sort their rows by cells: read them again after each step. What must
+    stay with its point is a field (`add_field`); `id` tells which point a row is.
 
     Args:
         grid: Background grid.
