@@ -101,7 +101,7 @@ def kernel(
     """
     averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
     velocity, strain, move, same, new, moved = parts
-    # sections of rings hardly turn
+    # the sections of axisymmetric points hardly turn
     moved = moved and not ring
     centres, taken = means in MEANS["centres"], means in (MEANS[True][0], MEANS["centres"][0])
     used = means > 0 and not taken
