@@ -60,8 +60,9 @@ class ActiveTerm:
 
     Who calls what, in this order, in a step of `QuasiStatic` or `Newmark`:
 
-    1. `Operator`, once: `stiffness`, then `external`.
-    2. `Newton`, per residual: `move`, `internal`; per tangent also `tangent`.
+    1. `Operator`, once: `external`.
+    2. `Newton`, per residual: `move`, `internal`, and `stiffness` in the first one; per tangent
+       also `tangent`. Contacts find their forces in `touch`, which `Operator` calls before both.
     3. `new_state`, at the end: `update`, and `follow` once it is known where the points go.
 
     Explicit steps call `renew` or `external`, `internal`, and 3. Contacts have further methods, see
@@ -140,7 +141,7 @@ class Term:
         layers: Layers of cells around the cells of a rank that the term looks at, at least.
         tags: Tags of the points that it acts on, or None for all.
         symmetric: Whether its tangent is symmetric.
-        definite: Whether its tangent leaves one that is positive definite so.
+        definite: Whether a positive definite tangent stays positive definite with this term.
         fusable: Whether fused explicit steps know it.
         holds_faces: Whether it resists a shift of the faces of points, F R.
     """
@@ -162,7 +163,7 @@ class Term:
 
     @property
     def moving(self) -> set[int]:
-        """Ids of the facets and cells that it integrates over as they are active."""
+        """Ids of its measures over active facets and cells, which change from step to step."""
         return set()
 
     @property
@@ -207,7 +208,10 @@ class Term:
         return 0.0
 
     def energy(self) -> tuple[float, float]:
-        """What it stores, and what friction in it has taken so far (J), all ranks. Collective."""
+        """Energy that it stores, and work of its friction since the first step (J). Collective.
+
+        Both are sums over all ranks. Contact with rigid bodies has none here, see `RigidBodies`.
+        """
         return 0.0, 0.0
 
     def regrid(self) -> None:
@@ -245,6 +249,7 @@ def as_form(term: Term, u: Any, v: Any) -> ufl.Form:
         u: Increment of the field that it acts on, `Space.increment`.
         v: Test function, `Space.test`.
     """
+    # UFL needs an integrand. It is never evaluated: the metadata lead to the term
     term.integrand = ufl.inner(u, v)
     metadata = {**term.points.dX.metadata(), "term": term}
     return term.integrand * term.points.dX.reconstruct(metadata=metadata)

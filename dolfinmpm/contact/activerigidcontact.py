@@ -162,8 +162,8 @@ class ActiveRigidContact(ActiveContact):
 
         Args:
             displacement: Displacements of the corners in the step (m), shape (m, gdim).
-            clings: Whether corners that touched before are held, and those that only meet the
-                body, so that the first iteration does not let the points fall through it.
+            clings: Whether corners that touched before cling to the body, and those that only meet
+                it, so that the first iteration does not let the points fall through it.
         """
         pose = self.contact.body.pose
         self.x = self.corners.x + displacement
@@ -171,12 +171,12 @@ class ActiveRigidContact(ActiveContact):
         # a corner comes no nearer than the length of its path
         self.now.path = np.linalg.norm(at - self.local_start, axis=1)
         near = self.start.gap <= self.now.path
-        holds, meets = np.zeros((2, len(at)), bool)
+        clinging, meets = np.zeros((2, len(at)), bool)
         if clings:
             rounding = TOUCHES * self.layout.reach(self.corners.rows)
-            holds = self.start.normal_force > 0.0
-            meets = (self.start.gap < rounding) & ~holds
-        c = np.flatnonzero(near | holds | meets | (self.start.multiplier > 0.0))
+            clinging = self.start.normal_force > 0.0
+            meets = (self.start.gap < rounding) & ~clinging
+        c = np.flatnonzero(near | clinging | meets | (self.start.multiplier > 0.0))
         probe = self.contact.body.surface.probe(at[c])
         if self.held is not None:
             self.held.update(pose.forth(self.local_start) - self.corners.x)
@@ -188,7 +188,7 @@ class ActiveRigidContact(ActiveContact):
         closing = self.start.closing[c]
         if moved.any():
             closing = self.start.gap[c] - probe[0] - growth_of(self.held, c)
-        self._compute(c, at, probe, holds | meets, closing)
+        self._compute(c, at, probe, clinging | meets, closing)
         if self.contact.law.friction and meets.any():
             self._stick(c[meets[c]], probe[1][meets[c]])
 
@@ -213,14 +213,14 @@ class ActiveRigidContact(ActiveContact):
         none = np.zeros(len(self.x), bool)
         self._compute(c, self.local_start, probe, none, self.start.closing[c])
 
-    def _compute(self, c: Rows, at: Array, probe: Probe, holds: Chosen, closing: Array) -> None:
+    def _compute(self, c: Rows, at: Array, probe: Probe, clinging: Chosen, closing: Array) -> None:
         """Compute the forces on some corners. All other corners have no forces.
 
         Args:
             c: The corners.
             at: Positions of all corners in the frame of the body (m), shape (m, gdim).
             probe: Values of the surface at the given corners.
-            holds: Which of all corners are held even outside the body, shape (m,).
+            clinging: Which of all corners cling to the body even outside it, shape (m,).
             closing: Closing of the gaps in a step (m), shape (c,).
         """
         now, start, law = self.now, self.start, self.contact.law
@@ -236,7 +236,7 @@ class ActiveRigidContact(ActiveContact):
         contact_forces(
             *probe, at[c], self.local_start[c], start.tangential[c],
             start.multiplier[c] - k * overlap, k, law.slip_share * k, law.friction, start.limit[c],
-            start.water[c], holds[c], *found, state,
+            start.water[c], clinging[c], *found, state,
         )  # fmt: skip
         for own, values in zip(now.by_law, found):
             own[c] = values
@@ -249,9 +249,9 @@ class ActiveRigidContact(ActiveContact):
     def _compute_means(self, c: Rows, at: Array, probe: Probe) -> None:
         """Compute mean forces over the step; see `_compute`."""
         now, start, law, body = self.now, self.start, self.contact.law, self.contact.body
-        rubbed = np.any(start.tangential != 0.0, axis=1)
-        if rubbed.any():
-            c = np.union1d(c, np.flatnonzero(rubbed))
+        had_friction = np.any(start.tangential != 0.0, axis=1)
+        if had_friction.any():
+            c = np.union1d(c, np.flatnonzero(had_friction))
             probe = body.surface.probe(at[c])
         now.loss[:] = 0.0
         if not c.size:
@@ -267,7 +267,7 @@ class ActiveRigidContact(ActiveContact):
             start.water[c], *found, loss, state,
         )  # fmt: skip
         if self.held is not None:
-            loss += self.held.released(c, start)
+            loss += self.held.loss_in_mean(c, start)
         for own, values in zip(now.by_law, found):
             own[c] = values
         now.gap[c], now.states[c], now.loss[c] = probe[0] + overlap, state, loss
@@ -377,12 +377,12 @@ class ActiveRigidContact(ActiveContact):
         slip = self._slip_energy(self.start.tangential)
         return self.overlapping() + self.contact.points.comm.allreduce(slip, op=MPI.SUM)
 
-    def dissipated(self) -> float:
+    def dissipated_in_step(self) -> float:
         """Work dissipated by friction and held corners in this step (J). Collective."""
         slips = np.flatnonzero(self.states >= SLIPS)
         done = float(self.now.loss.sum())
         if self.held is not None and self.mean_weights is None:
-            done += self.held.lost(self.start.normal_force, self.now.normal)
+            done += self.held.loss_at_end(self.start.normal_force, self.now.normal)
         if slips.size and self.mean_weights is None:
             at = self.contact.body.pose.back(self.x[slips])
             n = self.contact.body.surface.probe(at)[1]

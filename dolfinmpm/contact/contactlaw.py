@@ -4,11 +4,11 @@ A rigid surface has the gap g, the outward normal n and H = ∇n at a contact po
 quantities are in the frame of the body. So a motion of the body itself is no slip:
 
     p = max(0, λ − ε_N g),    w = t_n − ε_T (ξ − ξ_n),    t = P w if |P w| ≤ T,
-    t = T P w/|P w| else,    T = min(μ max(0, p − w A), τ A),    f = p n + t,    P = I − n ⊗ n.
+    t = T P w/|P w| else,    T = min(μ max(0, p − p_w A), τ A),    f = p n + t,    P = I − n ⊗ n.
 
 The largest shear stress τ is a property of clay: α c_u at the interface, however high the pressure.
-A is the area of the contact point. Without τ, T = μ p is Coulomb's friction. w is the pressure of
-the water in the pores, if it does not rub: friction is then that of the effective pressure.
+A is the area of the contact point. Without τ, T = μ p is Coulomb's friction. p_w is the pore
+pressure where friction is that of the effective pressure, else 0.
 
 This is the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
 Mechanics, 2006, ch. 10; AMPSSIE uses it in the material point method). The derivative of f by ξ is
@@ -99,7 +99,7 @@ class ContactLaw:
 @numba.njit(cache=True, error_model="numpy")
 def contact_forces(
     gap, normal, curvature, at, start, before, multiplier, normal_stiffness, slip_stiffness,
-    friction, limit, water, holds, force, tangential, normal_force, derivative, state,
+    friction, limit, water, clinging, force, tangential, normal_force, derivative, state,
 ):  # fmt: skip
     """Forces at contact points and their derivatives; see above. All in the frame of the body.
 
@@ -111,8 +111,8 @@ def contact_forces(
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
         limit: τ A (N), shape (m,).
-        water: w A (N), shape (m,).
-        holds: Points that stay in contact even outside the body, with p < 0, shape (m,).
+        water: p_w A (N), shape (m,).
+        clinging: Points that stay in contact even outside the body, with p < 0, shape (m,).
         force: Output: f (N), shape (m, d).
         tangential: Output: t (N), shape (m, d).
         normal_force: Output: p (N), shape (m,).
@@ -134,7 +134,7 @@ def contact_forces(
             tangential[c, i] = 0.0
             for j in range(d):
                 derivative[c, i, j] = 0.0
-        if not (p > 0.0 or holds[c]):
+        if not (p > 0.0 or clinging[c]):
             continue
         normal_force[c] = p
         state[c] = STICKS

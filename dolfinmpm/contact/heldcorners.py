@@ -11,9 +11,9 @@ counts as no penetration:
 
     g' = g + d,    d = max(0, d_n + n · Σ_held N_i (b − u_i)),
 
-with the normal n of the body and the prescribed increments u_i. Conforming elements do the same:
-their edges beside a fixed node move by the share of the other node. A corner without contact keeps
-no more of d than it is inside the body.
+with d_n at the end of the last step, the normal n of the body and the prescribed increments u_i.
+Conforming elements do the same: their edges beside a fixed node move by the share of the other
+node. At the end of a step, a corner without contact keeps d only up to its penetration −g.
 
 Components of a node count as held if they are prescribed along a side of the grid. Those across the
 side do not: a plate that presses a thin layer against the base must not enter it.
@@ -61,7 +61,7 @@ def held_components(grid: Mesh, fixed: Mask, positions: Callable[[], Array]) -> 
         return None
     x = positions()
     on = np.minimum(np.abs(x - low), np.abs(x - high)) <= _ON_SIDE * (high - low).max()
-    # nodes of edges of the grid are held across one of their sides
+    # a node on two sides: components across either side do not count
     held: Mask = fixed & ~on & on.any(axis=1)[:, None]
     return held if held.any() else None
 
@@ -73,45 +73,47 @@ class HeldCorners:
     Attributes:
         share: Share of the motion of each corner that held nodes have, by component, shape
             (m, gdim).
-        given: Motion of each corner by the prescribed increments of these nodes (m), likewise.
+        prescribed: Motion of each corner by the increments of these nodes (m), likewise.
         normal: Normals of the body at the start of the step, likewise.
         before: Overlap at the start of the step (m), shape (m,).
         now: Overlap as last computed (m), likewise.
     """
 
     share: Array
-    given: Array
+    prescribed: Array
     normal: Array
     before: Array
     now: Array
 
     @staticmethod
-    def of(active: ActiveRigidContact, held: Mask | None, moved: Array) -> HeldCorners | None:
+    def of(active: ActiveRigidContact, held: Mask | None, prescribed: Array) -> HeldCorners | None:
         """The held corners of a contact, or None if no corner is held.
 
         Args:
             active: The contact.
             held: Held components at the nodes of its stencils, shape (nodes, gdim), or None.
-            moved: Prescribed increments there (m), likewise.
+            prescribed: Prescribed increments there (m), likewise.
         """
         contact, s = active.contact, active.corners.stencils
         before = contact.points[contact.names.overlap][active.corners.rows, active.corners.which]
         if held is None or not held.any():
             if not before.any():
                 return None
-            held = np.zeros(moved.shape, bool)
+            # corners keep the overlap of earlier steps, also where no node is held now
+            held = np.zeros(prescribed.shape, bool)
         body = contact.body
         normal = body.start.directions(body.surface.probe(active.local_start)[1])
         share = s.of_nodes(held.astype(np.float64))
-        return HeldCorners(share, s.of_nodes(np.where(held, moved, 0.0)), normal, before, before)
+        known = s.of_nodes(np.where(held, prescribed, 0.0))
+        return HeldCorners(share, known, normal, before, before)
 
     def update(self, motion: Array) -> None:
         """Find the overlap for a motion of the body at the corners (m), shape (m, gdim)."""
-        more = np.einsum("ci,ci->c", self.normal, self.share * motion - self.given)
+        more = np.einsum("ci,ci->c", self.normal, self.share * motion - self.prescribed)
         self.now = np.maximum(self.before + more, 0.0)
 
-    def released(self, rows: Rows, start: ContactStart) -> Array:
-        """Energy that the penalties lose where the overlap grows (J), shape (n,).
+    def loss_in_mean(self, rows: Rows, start: ContactStart) -> Array:
+        """Loss of the penalties where the overlap grows, in steps with mean forces (J), shape (n,).
 
         A mean force over a step takes the overlap of its end for that of the whole step.
 
@@ -124,8 +126,8 @@ class HeldCorners:
         first, last = (normal_energy(q - k * d[rows], k) for d in (self.before, self.now))
         return np.asarray(first - last)
 
-    def lost(self, before: Array, now: Array) -> float:
-        """Work on the growth of the overlap in a step without mean forces (J).
+    def loss_at_end(self, before: Array, now: Array) -> float:
+        """Loss where the overlap grows, in steps without mean forces (J).
 
         Args:
             before, now: Normal forces at the start and at the end of the step (N), shape (m,).
@@ -133,7 +135,7 @@ class HeldCorners:
         return float(np.sum(0.5 * (before + now) * (self.now - self.before)))
 
     def demanded(self, rows: Rows) -> Array:
-        """Motion that corners must follow by a motion of the body, shape (n, gdim, gdim).
+        """Derivative of the motion that corners must follow by that of the body, (n, gdim, gdim).
 
         Args:
             rows: The corners, shape (n,).
@@ -143,6 +145,7 @@ class HeldCorners:
 
     def at_end(self, names: CornerFields, now: ContactForces) -> list[tuple[str, Array]]:
         """The overlap that remains at the end of a step, with the name of its field."""
+        # `now.gap` is g' = g + d, so that this is the penetration
         inside = np.maximum(self.now - now.gap, 0.0)
         kept = np.where(now.normal > 0.0, self.now, np.minimum(self.now, inside))
         return [(names.overlap, kept)]

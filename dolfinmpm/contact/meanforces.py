@@ -84,7 +84,7 @@ def mean_forces(
         multiplier: λ (N), shape (m,).
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
-        limit, water: τ A and w A (N), shape (m,), see `dolfinmpm.contact.contactlaw`.
+        limit, water: τ A and p_w A (N), shape (m,), see `dolfinmpm.contact.contactlaw`.
         force: Output: p̄ n̄ + t̄ (N), shape (m, d).
         tangential: Output: t₁ (N), shape (m, d).
         normal_force: Output: p₁ (N), shape (m,).

@@ -255,7 +255,7 @@ class RigidBodies:
             both = sums[id(active.contact.body)]
             both[0] = both[0] + force
             both[1] = both[1] + moment
-            active.contact.dissipated += active.dissipated()
+            active.contact.dissipated += active.dissipated_in_step()
         if self.given is None:
             self.given = sum(active.stored(before=True) for active in contacts)
         elif self.changed and any(active.mean_weights is not None for active in contacts):

@@ -40,7 +40,7 @@ from dolfinmpm.dynamics.stepwork import (
     add_losses,
     energy_of_start,
     work_at_nodes,
-    work_of_friction,
+    work_of_frictional_sides,
 )
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.grid.tensors import determinants
@@ -116,53 +116,53 @@ class GeneralSteps(ExplicitBase):
         V = self._velocities(mass, momenta, here, step, prescribed)
         operator = Operator(problem.form, here)
         problem.bodies.put(0.0)
-        V_strain, strained = self._before_forces(operator, mass, V, step)
-        predicted = strained * V_strain if settings.scheme == "usf" else None
+        V_strain, strain_time = self._strain_velocities(operator, mass, V, step)
+        u_strain = strain_time * V_strain if settings.scheme == "usf" else None
         at_start = boundary_forces(operator)
-        by_boundaries = self._of_boundaries(operator, at_start, predicted)
-        forces = self._forces(operator, mass, s, predicted)
+        by_boundaries = self._of_boundaries(operator, at_start, u_strain)
+        forces = self._forces(operator, mass, s, u_strain)
         if isinstance(forces, str):
             return forces
         if by_boundaries is not None:
             forces.arrays[0][:] -= by_boundaries
-        self._watch(operator, False)
+        self._watch(operator, ends=False)
         problem.bodies.push(problem.bodies.acting(operator), step.kick)
         self._resist(forces, mass, s, V)
-        net, grid = self._work.net, self._work.grid
+        work, net, grid = self._work, self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end, stopped = self._end((V, A), mass, here, prescribed, step)
+        V_end, taken = self._end((V, A), mass, here, prescribed, step)
         new = self._to_points(operator, field, x_node, NodalMotion(V, A, V_end, A), mass, dt)
-        self._work.projected += self._projected(new, mass, collect(s, V_end - V))
+        work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_move = V_end
         if settings.scheme == "musl":
             V_move = mass.solve(self._momenta(mass, field, x_node, new), prescribed).arrays[0]
-            if stopped is not None:
-                self._constrain_stopped(here, stopped, V_move)
+            if taken is not None:
+                self._constrain_stopped(here, taken, V_move)
         V_strain = V_strain if settings.scheme == "usf" else V_move
         moved = points["x"] + dt * collect(s, V_move)
-        strain_by(operator, points, strained * V_strain, settings.scheme)
+        strain_by(operator, points, strain_time * V_strain, settings.scheme)
         if by_boundaries is not None and settings.clock is not None:
-            # the remaining part of a prescribed displacement is its value at the end of the step
+            # boundaries prescribe what is left of a displacement, measured at the step's end
             settings.clock.value = step.t
         problem.bodies.put(1.0)
         state = new_state(problem, operator, x=moved, moved=[dt * V_move])
         if isinstance(state, str):
             return state
-        self._watch(operator, True)
-        motion, was = (V, V_end, V_move), (momenta.arrays[0], settings.mapping.kept_share)
-        self._work.external += work_at_nodes(operator, mass, forces, motion, step, *was)
-        self._work.losses["friction"] += work_of_friction(mass, stopped, dt * V_strain, step.kick)
-        self._work.add_stresses(points, state.fields, operator)
+        self._watch(operator, ends=True)
+        motion, kept = (V, V_end, V_move), settings.mapping.kept_share
+        work.external += work_at_nodes(operator, mass, forces, motion, step, momenta, kept)
+        work.losses["friction"] += work_of_frictional_sides(mass, taken, dt * V_strain, step.kick)
+        work.add_stresses(points, state.fields, operator)
         if step.begins:
-            self._work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
-        add_losses(self._work, mass, motion, self._resisting, self._at_sides, step.kick)
+            work.start += energy_of_start(mass, forces, V_end - V, here, step.kick)
+        add_losses(work, mass, motion, self._resisting, self._at_sides, step.kick)
         self._resisting.clear()
         state.fields.update(settings.mapping.at_new_positions(new, dt))
         boundary_work, late_work = works_of_boundaries(operator, at_start, state)
         self._find_lateness(operator, net, grid, late_work)
-        self._work.pending = pending_work(operator, at_start, dt * V_move, settings.scheme)
+        work.pending = pending_work(operator, at_start, dt * V_move, settings.scheme)
         of_bodies = problem.bodies.commit(problem.bodies.acting(operator))
-        self._work.external += boundary_work + of_bodies
+        work.external += boundary_work + of_bodies
         return commit(points, state)
 
     def _watch(self, operator: Operator, ends: bool) -> None:
@@ -219,10 +219,12 @@ class GeneralSteps(ExplicitBase):
         self, mass: Mass, momenta: Nodal, here: Activation, step: ExplicitStep, after: Array
     ) -> Array:
         """Velocities of the nodes at the start of a step (m/s), shape (nodes, d). Collective."""
-        last, dt = step.t - 0.5 * step.dt - step.kick, step.dt
-        (before,) = velocities_at(self._problem, here, step, lambda v: v(last) * dt / step.share)
+        middle_of_last, dt = step.t - 0.5 * step.dt - step.kick, step.dt
+        (before,) = velocities_at(
+            self._problem, here, step, lambda v: v(middle_of_last) * dt / step.share
+        )
         if step.begins:
-            # a side that moves where a run begins pushes nodes that move as the points do
+            # when a run begins, nodes of a moving side still have the points' velocities
             before = np.where(after != 0.0, mass.own_velocities(momenta), before)
         fastest = float(np.abs(self._problem.points["velocity"]).max(initial=0.0))
         return mass.velocities(momenta, before, fastest).arrays[0]
@@ -270,7 +272,7 @@ class GeneralSteps(ExplicitBase):
     def _with_contact(self, forces: Nodal, operator: Operator, mass: Mass) -> Nodal:
         """Forces with those of contact at the start of the step. Collective.
 
-        Points that strain before the forces have moved in the step before.
+        In "usf" too contact takes zero increments: those of the operator belong to the last step.
         """
         if operator.has("contact"):
             operator.update_contact(mass.nodal().arrays)
@@ -332,15 +334,15 @@ class GeneralSteps(ExplicitBase):
         if faces is not None and faces.dashpots is not None:
             V_end[fixed] = prescribed[fixed]
             V_end = self._damped(V, V_end, mass, here, faces, step)
-        stopped = None
+        taken = None
         if faces is not None and self.sides.frictional:
             free = V_end.copy()
             faces.apply_friction(V_end, self.kinks)
-            stopped = free - V_end
+            taken = free - V_end
             # what conditions hold is not moved by friction
-            stopped[fixed] = 0.0
+            taken[fixed] = 0.0
         V_end[fixed] = prescribed[fixed]
-        return V_end, stopped
+        return V_end, taken
 
     def _constrain_stopped(self, here: Activation, taken: Array, V: Array) -> None:
         """See `Faces.constrain_stopped`. What conditions prescribe stays."""
@@ -350,7 +352,7 @@ class GeneralSteps(ExplicitBase):
         faces.constrain_stopped(taken, V, self.kinks)
         V[fixed] = given
 
-    def _before_forces(
+    def _strain_velocities(
         self, operator: Operator, mass: Mass, V: Array, step: ExplicitStep
     ) -> tuple[Array, float]:
         """Velocities for the strain (m/s), and the time during which they strain (s). Collective.

@@ -30,7 +30,7 @@ __all__ = [
     "mean_contact_forces",
     "work_at_nodes",
     "work_of_contact",
-    "work_of_friction",
+    "work_of_frictional_sides",
     "work_of_loads",
     "work_of_waves",
 ]
@@ -163,7 +163,7 @@ def work_at_nodes(
     forces: Nodal,
     motion: tuple[Array, Array, Array],
     step: ExplicitStep,
-    momenta: Array,
+    momenta: Nodal,
     kept: float,
 ) -> float:
     """Work of loads and of prescribed motions in an explicit step (J). Collective.
@@ -175,7 +175,7 @@ def work_at_nodes(
         motion: Velocities at the start and at the end of the step, and velocities by which the
             points move (m/s), shape (nodes, d).
         step: The step.
-        momenta: Momenta of the points' velocities at the nodes (kg m/s), likewise.
+        momenta: Momenta of the points' velocities at the nodes (kg m/s).
         kept: Share of these velocities in the new ones, see `Mapping.kept_share`.
     """
     V, V_end, V_move = motion
@@ -185,7 +185,7 @@ def work_at_nodes(
         # a prescribed motion changes the momentum of its nodes, against their forces; the impulse
         # by which a run begins works on the mean of both velocities
         at = here.unknowns.fields[0].places[1]
-        before = kept * mass.times(V).arrays[0] + (1.0 - kept) * momenta
+        before = kept * mass.times(V).arrays[0] + (1.0 - kept) * momenta.arrays[0]
         impulse = mass.times(V_end).arrays[0] - before
         mean = 0.5 * (V + V_end) if step.begins else V_end
         done = float(impulse.reshape(-1)[at] @ mean.reshape(-1)[at])
@@ -211,7 +211,7 @@ def energy_of_start(
     return mass.comm.allreduce(0.5 * kick * float(done.sum()), op=MPI.SUM)
 
 
-def work_of_friction(mass: Mass, stopped: Array | None, u: Array, kick: float) -> float:
+def work_of_frictional_sides(mass: Mass, stopped: Array | None, u: Array, kick: float) -> float:
     """Work taken by frictional sides in an explicit step (J). Collective.
 
     Friction works on the velocities that strain the body, as stresses do.

@@ -29,12 +29,19 @@ from dolfinmpm.solve.step import Failed
 if TYPE_CHECKING:
     from dolfinmpm.solve.quasistatic import QuasiStatic
 
-__all__ = ["FIRST", "advice_on", "begins_unbalanced", "ease", "failed_step", "why_step_failed"]
+__all__ = [
+    "FIRST_RELEASED",
+    "advice_on",
+    "begins_unbalanced",
+    "failed_step",
+    "hold_back",
+    "why_step_failed",
+]
 
 Array = npt.NDArray[np.float64]
 
-# Share of the first substep
-FIRST = 0.125
+# Share of the first substep that releases forces out of balance
+FIRST_RELEASED = 0.125
 # Relative force out of balance at the start of the smallest substep, by its share of the load, that
 # is not the load's own
 _UNBALANCED = 4.0
@@ -72,8 +79,8 @@ def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: fl
     """
     return (
         f"step {len(problem.history) + 1} failed at {done + share:.4g} of its load "
-        f"({problem.loads.describe()}) with substeps of {share:.3g}: SNES says "
-        f"{failed.reason}, the relative out-of-balance force is {problem.last_residual} (tolerance "
+        f"({problem.loads.describe()}) with substeps of {share:.3g}; the reason is "
+        f"{failed.reason}; the relative out-of-balance force is {problem.last_residual} (tolerance "
         f"{problem.tolerance:g}); the worst is {failed.worst}. The state is that at "
         f"{done:.4g} of the step: {failed.advice or advice_on(problem)}{failed.remark}"
     )
@@ -274,11 +281,16 @@ def begins_unbalanced(problem: QuasiStatic, residuals: Sequence[float]) -> bool:
     if problem.scheme.inertia or not isinstance(problem.solver, Newton):
         return False
     least = 0.5**problem.max_halvings
-    return least < FIRST and bool(residuals) and residuals[0] > _UNBALANCED * least
+    return least < FIRST_RELEASED and bool(residuals) and residuals[0] > _UNBALANCED * least
 
 
-def ease(operator: Operator, share: float) -> None:
-    """Leave the forces that are out of balance at rest so, but for a share. Collective."""
+def hold_back(operator: Operator, released: float) -> None:
+    """Add external forces that balance the forces out of balance at rest, but a share. Collective.
+
+    Args:
+        operator: The equations of a substep.
+        released: Share of the forces that is not balanced.
+    """
     operator.move_to_zero()
     for mine, force in zip(operator.external, operator.forces()):
-        mine -= (1.0 - share) * force
+        mine -= (1.0 - released) * force

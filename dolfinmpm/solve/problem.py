@@ -269,8 +269,8 @@ class Problem(Uncopied, ReadOnce):
         bit for bit. They are so on several ranks, too, under two conditions: ranks and
         distribution of the grid are the same, and the linear solver is deterministic. (MUMPS on
         several ranks is not, nor are iterations whose preconditioner is kept by measured times.)
-        Otherwise the figures are equal to the tolerance of Newton's method, because its first
-        guess is lost: on another number of ranks, and of fields on leaves.
+        Otherwise the figures are equal to the tolerance of Newton's method: on another number of
+        ranks, and for fields on leaves, its first guess is not restored.
 
         A file of a total Lagrangian problem may be loaded into an updated Lagrangian problem.
 
@@ -303,7 +303,7 @@ class Problem(Uncopied, ReadOnce):
         """The state from step to step besides the points' fields, by name. Collective.
 
         It serves checkpoints, and studies that go back to a state; see `dolfinmpm.assembly.state`.
-        A failed step needs no state: nothing is written before the step has converged.
+        A failed substep needs no state: nothing is written before a substep has converged.
         """
         return gathered(self.keeping())
 
@@ -333,7 +333,9 @@ class Problem(Uncopied, ReadOnce):
             boundary.place()
         if self.essential_conditions.follows:
             self.essential_conditions.follow()
-        first, kept, self.kept = self.here is None, self.kept, None
+        first = self.here is None
+        # couplings of a checkpoint serve one activation
+        kept, self.kept = self.kept, None
         self.here = activate(
             self.points, self.fields, self.essential_conditions, self.form, share, self.here, kept,
             self.blocks_from if step is not None else math.inf,
@@ -362,7 +364,7 @@ class Problem(Uncopied, ReadOnce):
         return adapt(self)
 
     def _check_still_valid(self) -> None:
-        """Check that no other problem has moved rigid bodies or grid lines.
+        """Check that no other problem has moved bodies or grid lines, and reserve the bodies.
 
         Raises:
             ParameterError: Another problem has moved a rigid body, or the grid's lines.

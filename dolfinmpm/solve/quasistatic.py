@@ -22,13 +22,13 @@ from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.pointchecks import overwritten
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Prolongate
+from dolfinmpm.solve import failures
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
 from dolfinmpm.solve.bodyrecords import BodyRecords
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.description import size_and_solver
-from dolfinmpm.solve.failures import FIRST, begins_unbalanced, ease, failed_step, why_step_failed
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.method import Tangent, symmetric
@@ -56,7 +56,7 @@ class QuasiStatic(Problem):
     unknowns are numbered. PETSc's SNES finds the increment for which the form vanishes. Only then
     the state of the points changes.
 
-    An attempt that does not converge changes nothing, and its substep is halved. If the smallest
+    An attempt that does not converge changes no state, and its substep is halved. If the smallest
     substep fails too, substeps may release by shares what is out of balance, see
     `dolfinmpm.solve.failures`. After a substep that converges the next one is twice as long, at
     most a whole step. The next step begins with this length.
@@ -244,12 +244,12 @@ class QuasiStatic(Problem):
         self.loads.set_target()
         self._record = record = self.scheme.record()
         self._follow_leaves()
-        done, share, whole, eased = 0.0, self.share, False, False
+        done, share, whole, releases = 0.0, self.share, False, False
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
                 step = self.scheme.substep(done, share)
-                release = share / (1.0 - done) if eased else 1.0
+                release = share / (1.0 - done) if releases else 1.0
                 self.loads.set(done + share)
                 failed = self._attempt(step, release)
                 if failed is None:
@@ -257,11 +257,12 @@ class QuasiStatic(Problem):
                     record.parts += 1
                     share = min(1.0, 2.0 * share)
                     continue
+                # half of it would be shorter than the smallest substep; 1e-9: shares are rounded
                 if share * (1 + 1e-9) < 2 * 0.5**self.max_halvings:
-                    if not eased and begins_unbalanced(self, record.residuals):
-                        eased, share = True, FIRST
+                    if not releases and failures.begins_unbalanced(self, record.residuals):
+                        releases, share = True, failures.FIRST_RELEASED
                         continue
-                    raise ConvergenceError(why_step_failed(self, failed, done, share))
+                    raise ConvergenceError(failures.why_step_failed(self, failed, done, share))
                 record.halvings += 1
                 share *= 0.5
             whole = True
@@ -292,19 +293,20 @@ class QuasiStatic(Problem):
     def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
         """Take a step or a substep; return None, or the reason of a failure. Collective.
 
-        A failure changes nothing, because new values stay in `NewState` until `_commit`. The next
-        attempt sets loads from the last converged substep, and bodies from their start.
+        A failed attempt changes no state: new values stay in `NewState` until `_commit`. The next
+        attempt sets loads from the last converged substep, and bodies from their start. It finds
+        ranks and cells of points, places of markers and the activation anew.
 
         Args:
             step: The step or substep.
-            release: Share of the forces out of balance at its start that it releases, see `ease`.
+            release: Share of the forces out of balance at its start that it releases.
         """
         failed = self._prepare(step)
         if failed is not None:
             return failed
         operator = self.scheme.system(self, step)
         if release < 1.0:
-            ease(operator, release)
+            failures.hold_back(operator, release)
         self._record.unknowns = operator.here.unknowns.total
         self.newton.guess.length = step.dt
         for contact in operator.contacts:
@@ -329,7 +331,7 @@ class QuasiStatic(Problem):
             held = operator.holding_forces()
             state = self.scheme.finish(self, operator, outcome.x, step)
         if isinstance(state, str):
-            return failed_step(self, operator, state)
+            return failures.failed_step(self, operator, state)
         held = self.scheme.holding_forces(operator, held)
         self._commit(operator, state)
         self.essential_conditions.keep_forces(operator.here, held)
@@ -359,7 +361,9 @@ class QuasiStatic(Problem):
         """Write the new state of bodies, points and markers. Collective."""
         points, record = self.points, self._record
         if self.bodies.all:
-            self.scheme.add_body_work(self.bodies.commit(self.bodies.acting(operator)))
+            # it counts the work of friction, too
+            work = self.bodies.commit(self.bodies.acting(operator))
+            self.scheme.add_body_work(work)
         found = (contact.record() for contact in operator.contacts)
         record.bodies = BodyRecords(row for rows in found for row in rows.items())
         record.migrated += commit(points, state)
