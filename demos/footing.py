@@ -39,12 +39,21 @@ F += footing.contact(u, v)
 
 bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
+half = 1.0  # m, of the width
+curve = mpm.History()
+curve.record(settlement=0.0, pressure=0.0)
 for share in mpm.steps(10, label="settlement"):
     settlement.value = 2e-3 * share
     problem.step()
+    curve.record(settlement=1e3 * settlement.value, pressure=footing.load() / half / 1e3)
 
-factor = footing.load() / c
+factor = 1e3 * curve["pressure"][-1] / c
 if grid.comm.rank == 0:
     print(f"bearing factor {factor:.3f}, Prandtl {2 + np.pi:.3f}")
 mpm.plot(points, "output/footing.png", "plastic_strain", limits=(0, 0.005), size=(5.5, 3.5))
+with mpm.figure("output/footing_curve.png") as (_, axes):
+    axes.axhline((2 + np.pi) * c / 1e3, color="0.6", lw=1, ls="--", label="Prandtl")
+    axes.plot(curve["settlement"], curve["pressure"], "o-", ms=3, label="material points")
+    axes.set(xlabel="settlement (mm)", ylabel="pressure of the footing (kPa)", ylim=(0, 60))
+    axes.legend(loc="lower right")
 assert abs(factor / (2 + np.pi) - 1) < 0.03

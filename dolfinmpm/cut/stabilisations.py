@@ -64,7 +64,7 @@ class Stabilisation:
             - "aggregation": nodes of ill-filled cells follow the nearest well-filled cell;
             - "weak-aggregation": a penalty on the distance from the aggregated values;
             - "extended": aggregation with the inner functions of extended B-splines;
-            - "soft": a share of the elastic stiffness of whole cells, in the tangent only.
+            - "soft": a share of the elastic stiffness of whole cells, in the preconditioner only.
         E: Young's modulus (Pa) for the scaling of penalties; by default that of the law.
         nu: Poisson's ratio, likewise.
         factor: Factor of the ghost penalty, by the laws or in units of E/30, or "adaptive", see

@@ -102,8 +102,8 @@ class Explicit(MovingBody, Problem):
             in runs of "musl". In "usl" and "usf" they also strain what moves, and a share of 0.01
             took 38 %. Larger shares give a LostMomentumWarning. `redistribution` keeps momentum.
         redistribution: Nodes with less than this share of the largest mass pass a part of their
-            forces to their neighbours. This part is the share of mass that they lack (Ma, Zhang &
-            Qiu 2010).
+            forces to their neighbours. This part is the share of mass that they lack (Ma, Giguere,
+            Jayaraman & Zhang 2010).
         time: DOLFINx constant that holds the time (s), for forms that depend on the time.
         fused: Whether one compiled loop may take a whole step, where it supports the form. It
             supports laws of one strain formulation, body forces, contact with rigid bodies, lumped

@@ -66,8 +66,8 @@ class Redistribution:
 
     A node keeps the share m/m₀ of its force; m₀ is a share of the largest mass. The rest goes to
     the heavier nodes that share a point with it, in proportion to their masses. So the sum of
-    forces stays, and no acceleration exceeds f/m₀ (after Ma, Zhang & Qiu 2010, Comput. Model. Eng.
-    Sci. 65).
+    forces stays, and no acceleration exceeds f/m₀ (after Ma, Giguere, Jayaraman & Zhang
+    2010, J. Comput. Phys. 229).
 
     Args:
         share: m₀ over the largest nodal mass.

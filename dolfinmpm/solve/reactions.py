@@ -32,7 +32,7 @@ def reaction(problem: Problem, conditions: Sequence[Condition]) -> Array:
 
     Together with loads, inertia and all other forces it is in balance. With `GeneralisedAlpha`, it
     is the force at the level of the step at which forces balance. In parts of a halved step, the
-    last part counts. Boundaries that do not fit the grid have `Boundary.force`, rigid bodies
+    last part counts. Boundaries that do not fit the grid have `Boundary.force()`, rigid bodies
     `RigidBody.force`.
 
     Args:
