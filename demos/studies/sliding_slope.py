@@ -3,7 +3,8 @@
 #
 # A long slope has a weak layer of undrained clay (Tresca, c_u) at its base. Above this layer the
 # ground is stiff. In an earthquake the ground begins to slide when the acceleration of the base,
-# along the slope and upwards, exceeds a_y. It slides until it has the velocity of the base again. Newmark (1965) takes the ground as a rigid
+# along the slope and upwards, exceeds a_y. It slides until it has the velocity of the base again.
+# Newmark (1965) takes the ground as a rigid
 # block,
 #
 # $$a_y = \frac{c_u}{\rho H} - g \sin\beta, \qquad

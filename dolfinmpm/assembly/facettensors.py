@@ -8,6 +8,7 @@ integrals over the edges of a cell.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -271,9 +272,14 @@ class FacetTensors:
     def __init__(self, form: ufl.Form, degree: int, components: int):
         self._degree = degree
         self._components = components
-        self._form = _restricted(form)
+        self._given = form
         # by direction of the facet, and whether its first cell is the upper cell
         self._facing: dict[tuple[int, bool], list[_Integral]] = {}
+
+    @functools.cached_property
+    def _form(self) -> ufl.Form:
+        """The form with restricted terminals; other problems may know all tensors already."""
+        return _restricted(self._given)
 
     def __call__(self, place: Any, one: FacetModulus | None = None) -> Array:
         """The tensor of one facet, with the present values of the form's constants.

@@ -8,6 +8,8 @@ degree 1. On a grid of equal cells they have one class per direction.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -19,6 +21,7 @@ from dolfinx import fem
 
 from dolfinmpm.assembly.facetpenalties import INTERVALS, by_ratio, lattice_pair
 from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
+from dolfinmpm.assembly.knowntensors import KNOWN, key_of_facet, key_of_form
 from dolfinmpm.assembly.latticefacets import Couplings, LatticeFacet, couplings_of, facet_patch
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
@@ -30,6 +33,8 @@ __all__ = ["FacetBlock", "uses_facet_classes"]
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
+# whether forms are readable, because UFL needs longer than a small problem for a step to tell
+_READABLE: dict[Hashable, bool] = {}
 # relative difference of cell sizes below which it is a rounding error
 _SAME = 1e-12
 
@@ -116,7 +121,10 @@ def uses_facet_classes(form: ufl.Form, space: Space) -> bool:
         ids = given if isinstance(given, tuple) else (given,)
         if integral.integral_type() != "interior_facet" or set(ids) != {GHOST_FACETS}:
             return False
-    if not readable(form, space):
+    key = key_of_form(form, space)
+    if key not in _READABLE:
+        _READABLE[key] = readable(form, space)
+    if not _READABLE[key]:
         return False
     # a line of equal cells has 2 degree − 1 kinds of cells; a graded line has one kind per cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
@@ -178,6 +186,7 @@ class FacetBlock:
         self._space = space
         self._basis = basis = space.basis
         self._tensor_of = FacetTensors(form, basis.degree, space.components)
+        self._key = key_of_form(form, space)
         self.constants: list[fem.Constant] = form.constants()
         self.moduli = facet_moduli(form)
         self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
@@ -273,7 +282,9 @@ class FacetBlock:
             self._kept = kept = _KeptTensors(values)
         for code, place in facets.examples.items():
             if code not in kept.tensors:
-                kept.tensors[code] = self._tensor_of.parts(place, self.moduli)
+                key = self._key, values.tobytes(), key_of_facet(place)
+                parts_of = functools.partial(self._tensor_of.parts, place, self.moduli)
+                kept.tensors[code] = KNOWN.get(key, parts_of)
         c, m, parts = self._space.components, self._patch.nodes.shape[1], 1 + len(self.moduli)
         tensors = [kept.tensors[code] for code in facets.examples]
         single = all(t.shape[3] == 1 for t in tensors)
