@@ -47,6 +47,10 @@ _LONG = 1.5
 # Least penalty of Nitsche's method where the body has F-bar, in units of M/h: 5 let a cavity in
 # yielding clay bulge, 10 did not
 _SHARED = 20.0
+# and in implicit steps with inertia. Its traction is that of the nearest point, and not quite that
+# of the symmetric term, so that bodies make energy: the less, the greater the penalty is. Twice the
+# constants let blocks at rest fail after some periods, 30 times those of splines after a hundred.
+_IN_TIME = 1000.0
 
 
 class BoundaryTerm(Term):
@@ -140,6 +144,7 @@ class BoundaryTerm(Term):
         first = here.fields[0]
         self._warn_of_long_pieces(first)
         self._set_walls()
+        last = {c.stiffness: markers[c.stiffness].copy() for c in self.conditions}
         for condition in self.conditions:
             condition.prepare(rows, _sizes(self.boundary, first))
         # constants are kept for one field only
@@ -162,6 +167,23 @@ class BoundaryTerm(Term):
                     M = condition.declaration.elastic.moduli()[:, 0]
                     k = np.maximum(k, _SHARED * M / _sizes(self.boundary, first)[of_law])
                 markers[condition.stiffness][of_law] = k
+        if self._weights is not None:
+            self._stiffen_in_time(_sizes(self.boundary, first), last)
+
+    def _stiffen_in_time(self, sizes: Array, last: Mapping[str, Array]) -> None:
+        """Raise penalties that nobody gave to those of implicit steps with inertia.
+
+        Args:
+            sizes: Sizes of the cells at the markers (m), shape (markers,).
+            last: Penalties of the last step (Pa/m) by name; the forces in them stay.
+        """
+        for condition in self.conditions:
+            if condition.exact and condition.penalty is None and condition.fixed is None:
+                rows, k = condition.declaration.rows, self.markers[condition.stiffness]
+                M = condition.declaration.elastic.moduli()[:, 0]
+                k[rows] = np.maximum(k[rows], _IN_TIME * M / sizes[rows])
+                share = last[condition.stiffness][rows] / k[rows]
+                condition.gaps()[rows] *= share[:, None]
 
     def _warn_of_long_pieces(self, field: ActiveField) -> None:
         """Warn once if leaves are smaller than the pieces of the boundary. Collective.
