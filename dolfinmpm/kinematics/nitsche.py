@@ -65,7 +65,7 @@ from dolfinmpm.materials.neohookean import NeoHookean
 __all__ = ["METHODS", "TRACE", "WeakCondition", "dirichlet", "refuse_within"]
 
 # Name of the markers' field of the constants of their cells (Pa/m), 0 if not known. The fields with
-# _x and _cell behind this name are the positions of the marker and its cell at that time.
+# _x, _cell, _body behind it are positions of marker, cell and nearest point at that time.
 TRACE = "trace_constant"
 
 METHODS = ("nitsche", "skew", "penalty")
@@ -292,8 +292,8 @@ def dirichlet(
     )  # fmt: skip
     if condition.local:
         markers.add_field(TRACE, (), "Pa/m")
-        for name in (f"{TRACE}_x", f"{TRACE}_cell"):
-            markers.add_field(name, (d,), "m")
+        for name in ("x", "cell", "body"):
+            markers.add_field(f"{TRACE}_{name}", (d,), "m")
     return condition_form(condition, term, "the condition (mpm.dirichlet)")
 
 

@@ -42,6 +42,9 @@ __all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
 Array = npt.NDArray[np.float64]
 # Constants of cells with a stabilisation are kept while the boundary moves less than this share
 _STILL = 0.02
+# and while the body in front of a wall moves less than this one. Constants that were never computed
+# anew let an aggregated block of quadratic splines fail after a way of 1.8 cells.
+_PASSED = 0.1
 # Length of a piece, in leaves, from which it is too long; leaves are halves, and may be oblong
 _LONG = 1.5
 # Least penalty of Nitsche's method where the body has F-bar, in units of M/h: 5 let a cavity in
@@ -160,6 +163,7 @@ class BoundaryTerm(Term):
                 found = trace_constants(here, k, self.boundary, moduli(), at)
                 markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
                 markers[f"{TRACE}_cell"] = _middles(self.boundary, first)
+                markers[f"{TRACE}_body"] = markers[_body(markers)]
             for condition in local:
                 of_law = condition.declaration.rows
                 k = 2.0 * markers[TRACE][of_law]
@@ -357,14 +361,20 @@ def _middles(boundary: Boundary, field: ActiveField) -> Array:
     return middles
 
 
+def _body(markers: MaterialPoints) -> str:
+    """Name of the markers' field of the place of the body: of walls that of the nearest point."""
+    return "body_x" if "body_x" in markers.fields else "x"
+
+
 def _stays(boundary: Boundary, rows: npt.NDArray[np.integer], field: ActiveField) -> bool:
-    """Whether markers are in the cells of their kept constants, and have moved little."""
+    """Whether markers are in the cells of their kept constants; they and the body moved little."""
     markers = boundary.markers
     h = field.space.finest_cell
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
     other = np.abs(_middles(boundary, field) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
+    body = np.abs(markers[_body(markers)] - markers[f"{TRACE}_body"])[rows].max(initial=0.0)
     known = bool((markers[TRACE][rows] > 0).all())
-    same = known and way < _STILL * h and other < 1e-6 * h
+    same = known and way < _STILL * h and other < 1e-6 * h and body < _PASSED * h
     return bool(markers.comm.allreduce(same, op=MPI.LAND))
 
 
