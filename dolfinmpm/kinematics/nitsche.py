@@ -65,13 +65,13 @@ from dolfinmpm.materials.neohookean import NeoHookean
 __all__ = ["METHODS", "TRACE", "WeakCondition", "dirichlet", "refuse_within"]
 
 # Name of the markers' field of the constants of their cells (Pa/m), 0 if not known. The fields with
-# _x and _cell behind this name are the positions of the marker and its cell at that time.
+# _x, _cell, _body behind it are positions of marker, cell and nearest point at that time.
 TRACE = "trace_constant"
 
 METHODS = ("nitsche", "skew", "penalty")
 # Penalties in units of M/h where none is given: what a penalty alone leaves of the gap is a
 # thousandth of a cell's extension; the skew method is stable with any.
-_PENALTY = {"skew": 1.0, "penalty": 1e3}
+_SKEW, _PENALTY = 1.0, {"penalty": 1e3}
 # Share of a boundary with the body on both sides that its corners may have
 _WITHIN = 0.2
 
@@ -84,7 +84,7 @@ class WeakCondition:
         boundary: The boundary.
         declaration: Declaration of the law at the markers; None for a penalty without a law.
         method: One of `METHODS`.
-        penalty: Penalty in units of M/h; None for twice the constant of the cells.
+        penalty: Penalty in units of M/h; None for that of the method.
         fixed: Penalty (Pa/m), or None.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
         moduli: Name of the markers' field of the law's elastic moduli M and G (Pa), or None.
@@ -111,7 +111,7 @@ class WeakCondition:
     @property
     def local(self) -> bool:
         """Whether the penalty follows from the constants of the cells."""
-        return self.fixed is None and self.penalty is None
+        return self.fixed is None and self.penalty is None and self.method == "nitsche"
 
     @property
     def exact(self) -> bool:
@@ -153,11 +153,11 @@ class WeakCondition:
             self.gaps()[~on] = 0.0
         if self.fixed is not None:
             markers[self.stiffness] = self.fixed
-        elif self.penalty is not None:
+        elif not self.local:
             assert self.declaration is not None
-            rows = self.declaration.rows
+            rows, factor = self.declaration.rows, _SKEW if self.penalty is None else self.penalty
             moduli = self.declaration.elastic.moduli()[:, 0]
-            markers[self.stiffness][rows] = self.penalty * moduli / sizes[rows]
+            markers[self.stiffness][rows] = factor * moduli / sizes[rows]
 
     def own_work(self, fields: Any, moved: Any) -> float:
         """See `Wall.own_work`: a prescribed motion does all the work of its forces."""
@@ -209,9 +209,9 @@ def dirichlet(
             the tag.
         penalty: k in units of M/h: M is the P-wave modulus of the law's elasticity, h the size of
             the largest cell. The default of "nitsche" follows from an eigenproblem around each
-            cell, and is at least 20 with F-bar. The default of "skew" is 1, that of "penalty" is
-            1000. Explicit steps are short with it: give some 10 there. `mpm.stiffness_per_area`
-            returns k.
+            cell, and is at least 20 with F-bar. That of "skew" is 1. Both are at least 1000 in
+            implicit steps with inertia. That of "penalty" is 1000. Explicit steps are short with
+            it: give some 10 there. `mpm.stiffness_per_area` returns k.
         stiffness_per_area: k itself (Pa/m), instead of `penalty`.
         pore_pressure: Pore pressure of a body of soil and water, the unknown p of `poromechanics`
             (Pa, for UFL). The traction is then that of soil and water. A penalty alone needs none.
@@ -292,8 +292,8 @@ def dirichlet(
     )  # fmt: skip
     if condition.local:
         markers.add_field(TRACE, (), "Pa/m")
-        for name in (f"{TRACE}_x", f"{TRACE}_cell"):
-            markers.add_field(name, (d,), "m")
+        for name in ("x", "cell", "body"):
+            markers.add_field(f"{TRACE}_{name}", (d,), "m")
     return condition_form(condition, term, "the condition (mpm.dirichlet)")
 
 

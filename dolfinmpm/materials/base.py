@@ -159,7 +159,8 @@ class Law(Parametrised):
     @property
     def stress_address(self) -> int:
         """Address of a kernel that need not write the tangent."""
-        return getattr(self.kernel, "stress_address", self.address)
+        # laws that compile a kernel of their own have an address and no `kernel`
+        return getattr(getattr(self, "kernel", None), "stress_address", self.address)
 
     def first_internal(self, parameters: Array) -> Array:
         """Internal variables of points before any yielding, shape (n, variables).

@@ -18,6 +18,22 @@ Array = npt.NDArray[np.float64]
 
 # Largest error of a strain that is kept as a stretch, by rounding
 _ROUNDED = 1e-14
+# A determinant that is rounding beside its terms, and what its matrix then gets on the diagonal, by
+# the largest modulus: enough for a determinant that is not rounding
+_SINGULAR, _SHIFT = 1e-15, 1e-4
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _invert_stiffness(D, inverse):
+    """Write the inverse of a stiffness D, shape (3, 3); that of a fluid has none, and is shifted.
+
+    The strain of a stress that a fluid has then converges by the factor of the shift.
+    """
+    largest = max(abs(D[0, 0]), abs(D[1, 1]), abs(D[2, 2]))
+    if abs(invert(D, inverse)) <= _SINGULAR * largest**3:
+        for i in range(3):
+            D[i, i] += _SHIFT * largest
+        invert(D, inverse)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -61,7 +77,7 @@ def _invert(law, parameters, elastic, old, stress, strain, reached, good):
                 best[i] = strain[p, i]
             if error == 0.0:
                 break
-            invert(D, inverse)
+            _invert_stiffness(D, inverse)
             for i in range(3):
                 step[i] = 0.0
                 for j in range(3):

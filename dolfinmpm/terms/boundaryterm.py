@@ -42,11 +42,18 @@ __all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
 Array = npt.NDArray[np.float64]
 # Constants of cells with a stabilisation are kept while the boundary moves less than this share
 _STILL = 0.02
+# and while the body in front of a wall moves less than this one. Constants that were never computed
+# anew let an aggregated block of quadratic splines fail after a way of 1.8 cells.
+_PASSED = 0.1
 # Length of a piece, in leaves, from which it is too long; leaves are halves, and may be oblong
 _LONG = 1.5
 # Least penalty of Nitsche's method where the body has F-bar, in units of M/h: 5 let a cavity in
 # yielding clay bulge, 10 did not
 _SHARED = 20.0
+# and in implicit steps with inertia. Its traction is that of the nearest point, and not quite that
+# of the symmetric term, so that bodies make energy: the less, the greater the penalty is. Twice the
+# constants let blocks at rest fail after some periods, 30 times those of splines after a hundred.
+_IN_TIME = 1000.0
 
 
 class BoundaryTerm(Term):
@@ -140,6 +147,7 @@ class BoundaryTerm(Term):
         first = here.fields[0]
         self._warn_of_long_pieces(first)
         self._set_walls()
+        last = {c.stiffness: markers[c.stiffness].copy() for c in self.conditions}
         for condition in self.conditions:
             condition.prepare(rows, _sizes(self.boundary, first))
         # constants are kept for one field only
@@ -155,6 +163,7 @@ class BoundaryTerm(Term):
                 found = trace_constants(here, k, self.boundary, moduli(), at)
                 markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
                 markers[f"{TRACE}_cell"] = _middles(self.boundary, first)
+                markers[f"{TRACE}_body"] = markers[_body(markers)]
             for condition in local:
                 of_law = condition.declaration.rows
                 k = 2.0 * markers[TRACE][of_law]
@@ -162,6 +171,23 @@ class BoundaryTerm(Term):
                     M = condition.declaration.elastic.moduli()[:, 0]
                     k = np.maximum(k, _SHARED * M / _sizes(self.boundary, first)[of_law])
                 markers[condition.stiffness][of_law] = k
+        if self._weights is not None:
+            self._stiffen_in_time(_sizes(self.boundary, first), last)
+
+    def _stiffen_in_time(self, sizes: Array, last: Mapping[str, Array]) -> None:
+        """Raise penalties that nobody gave to those of implicit steps with inertia.
+
+        Args:
+            sizes: Sizes of the cells at the markers (m), shape (markers,).
+            last: Penalties of the last step (Pa/m) by name; the forces in them stay.
+        """
+        for condition in self.conditions:
+            if condition.exact and condition.penalty is None and condition.fixed is None:
+                rows, k = condition.declaration.rows, self.markers[condition.stiffness]
+                M = condition.declaration.elastic.moduli()[:, 0]
+                k[rows] = np.maximum(k[rows], _IN_TIME * M / sizes[rows])
+                share = last[condition.stiffness][rows] / k[rows]
+                condition.gaps()[rows] *= share[:, None]
 
     def _warn_of_long_pieces(self, field: ActiveField) -> None:
         """Warn once if leaves are smaller than the pieces of the boundary. Collective.
@@ -335,14 +361,20 @@ def _middles(boundary: Boundary, field: ActiveField) -> Array:
     return middles
 
 
+def _body(markers: MaterialPoints) -> str:
+    """Name of the markers' field of the place of the body: of walls that of the nearest point."""
+    return "body_x" if "body_x" in markers.fields else "x"
+
+
 def _stays(boundary: Boundary, rows: npt.NDArray[np.integer], field: ActiveField) -> bool:
-    """Whether markers are in the cells of their kept constants, and have moved little."""
+    """Whether markers are in the cells of their kept constants; they and the body moved little."""
     markers = boundary.markers
     h = field.space.finest_cell
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
     other = np.abs(_middles(boundary, field) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
+    body = np.abs(markers[_body(markers)] - markers[f"{TRACE}_body"])[rows].max(initial=0.0)
     known = bool((markers[TRACE][rows] > 0).all())
-    same = known and way < _STILL * h and other < 1e-6 * h
+    same = known and way < _STILL * h and other < 1e-6 * h and body < _PASSED * h
     return bool(markers.comm.allreduce(same, op=MPI.LAND))
 
 

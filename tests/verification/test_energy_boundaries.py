@@ -171,3 +171,59 @@ def test_infinite_friction_of_a_wall_ends_with_the_contact():
     problem.step(problem.time + 5e-3)
     np.testing.assert_allclose(problem.momentum(), before, rtol=1e-9)
     assert before[0] < 450.0
+
+
+def standing(basis, stabilisation, direction, method, follows):
+    """A block of 8 × 8 cells off the lines of the grid on a boundary; its form, and its gravity."""
+    h, x0, y0 = 0.125, 0.013, 0.046
+    grid = mpm.create_lattice(COMM, [np.arange(-2, 12) * h, np.arange(-1, 11) * h])
+    points = mpm.fill(grid, mpm.Box((x0, y0), (1 + x0, 1 + y0)), 3, RHO, aligned="body")
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    gravity = fem.Constant(grid, (0.0, 0.0))
+    law = mpm.materials.Hencky(2e6, 0.3)
+    base = mpm.Boundary.from_polygon(
+        points, [(x0, y0), (1 + x0, y0)], closed=False, follows=follows
+    )
+    F = mpm.momentum(law, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
+    F += mpm.dirichlet(base, u, v, 0.0, law=law, direction=direction, method=method)
+    return F, u, points, {"stabilisation": stabilisation}, gravity, base
+
+
+@pytest.mark.parametrize(
+    ("basis", "stabilisation", "direction", "method", "follows"),
+    [
+        ("gimp", "ghost", "normal", "nitsche", True),
+        ("gimp", "aggregation", "normal", "nitsche", False),
+        ("gimp", "ghost", None, "skew", True),
+        ("bspline2", "ghost", None, "nitsche", True),
+    ],
+)
+def test_a_held_face_makes_no_energy(basis, stabilisation, direction, method, follows):
+    """A block swings in its weight, which comes at once; Poisson's ratio couples directions."""
+    F, u, points, options, gravity, _ = standing(basis, stabilisation, direction, method, follows)
+    problem = mpm.Newmark(F, u, points, **options)
+    gravity.value[1] = -10.0
+    first = points["x"][:, 1] @ points["V0"]
+    for k in range(100):
+        problem.step((k + 1) * 6e-3)
+        e = problem.energies()
+        work = RHO * 10.0 * (first - points["x"][:, 1] @ points["V0"])
+        # the static sag has 12 J or less; the ghost penalty and the mapping take some of the rest
+        assert e.kinetic + e.strain == pytest.approx(work, rel=0.03, abs=0.3)
+
+
+def test_a_face_held_in_statics_stays_at_rest_in_time():
+    """The penalty is another one in time; its force goes on."""
+    F, u, points, options, gravity, base = standing("gimp", "ghost", None, "nitsche", True)
+    static = mpm.QuasiStatic(F, u, points, **options)
+    gravity.value[1] = -10.0
+    static.step()
+    sagged, force = points["x"].copy(), base.force()
+    np.testing.assert_allclose(force, (0.0, 10.0 * RHO), atol=1e-4 * RHO)
+    problem = mpm.Newmark(F, u, points, **options)
+    for k in range(20):
+        problem.step((k + 1) * 5e-3)
+        np.testing.assert_allclose(base.force(), force, atol=0.04 * force[1])
+        moved = np.abs(points["x"] - sagged).max()
+        assert moved < 0.04 * np.abs(sagged - points["x0"]).max()
