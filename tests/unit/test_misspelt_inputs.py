@@ -135,3 +135,13 @@ def test_a_name_of_another_module_is_told(name, told):
 def test_a_component_by_its_letter():
     with pytest.raises(ParameterError, match=r"'y' must be in 0 \.\.\. 1 .* along x\[0\]"):
         mpm.prescribed(block()[1], "top", "y", increment=-0.01)
+
+
+def test_points_list_their_fields():
+    """Python had asked for points[0], and told of that."""
+    points, _, _ = block()
+    assert "density" in points
+    assert "mass" not in points
+    assert 0 not in points
+    assert list(points) == list(points.fields)
+    assert len(points) == len(points["x"])
