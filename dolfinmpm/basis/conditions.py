@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.linecells import coordinate_rounding
 from dolfinmpm.grid.sides import side_of
 from dolfinmpm.grid.userfunctions import VelocityByTime, call_function, choose
 
@@ -146,7 +147,7 @@ def _nodes(space: Space, where: Where, empty: str = "") -> tuple[npt.NDArray[np.
     if not callable(where):
         name, axis, end = side_of(where, gdim)
         low, high = _extent(comm, x[:, axis])
-        chosen = np.abs(x[:, axis] - (low, high)[end]) <= 1e-9 * (high - low)
+        chosen = np.abs(x[:, axis] - (low, high)[end]) <= coordinate_rounding(low, high)
         return np.flatnonzero(chosen).astype(np.int32), name
     nodes = call_together(comm, lambda: _chosen(space, where))
     low, high = _extent(comm, x[nodes])

@@ -29,7 +29,7 @@ from dolfinmpm.grid.halo import Numbering, dilated
 from dolfinmpm.grid.lattice import Lattice, once_per_grid
 from dolfinmpm.grid.leafnodes import LeafNodes
 from dolfinmpm.grid.leaves import Leaves
-from dolfinmpm.grid.linecells import SNAP
+from dolfinmpm.grid.linecells import SNAP, coordinate_rounding
 from dolfinmpm.grid.partition import Partition
 
 if TYPE_CHECKING:
@@ -246,7 +246,9 @@ class LeafBasis:
 
     def _inwards(self, at: Array, x: Array, half: Array) -> Array:
         """Positions in domains, moved off the ends of the domains by more than rounding (m)."""
-        rounding = 4 * SNAP * self.cell_sizes()[self.cells_at(x)][:, None]
+        cells = self.cells_at(x)
+        low, high = (corner[cells] for corner in self._box)
+        rounding = 4 * coordinate_rounding(low, high, SNAP)
         inside = np.maximum(half - rounding, 0.5 * half)
         return np.clip(at, x - inside, x + inside)
 
@@ -294,7 +296,7 @@ class LeafBasis:
         h = high - low
         lower = self.lattice.lines
         inside = np.column_stack([x[:, d] > lower[d][0] + 0.5 * h[:, d] for d in range(x.shape[1])])
-        on = inside & (x - low < SNAP * h)
+        on = inside & (x - low < coordinate_rounding(low, high, SNAP))
         some = on.any(axis=1)
         if not self.grid.comm.allreduce(bool(some.any()), op=MPI.LOR):
             return cells
