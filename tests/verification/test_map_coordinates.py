@@ -104,3 +104,27 @@ def test_a_uniform_grid_is_uniform():
         assert lattice_of(grid).uniform
         assert isinstance(mpm.cell_size(grid), fem.Constant)
     assert float(mpm.cell_size(far).value) == pytest.approx(H, rel=1e-8)
+
+
+def pressed(origin, basis):
+    """Stresses under a pressure that follows the top of a block, after two steps."""
+    x0, y0 = origin
+    grid = mesh.create_rectangle(
+        COMM, [(x0, y0), (x0 + 8 * H, y0 + 8 * H)], (8, 8), mesh.CellType.quadrilateral
+    )
+    points = mpm.fill(grid, mpm.Box((x0, y0), (x0 + 6 * H, y0 + 5 * H)), 2, 2000.0)
+    V = mpm.Space(grid, basis)
+    top = mpm.Surface(points, lambda x: x[1] > y0 + 4.9 * H, (0, 1))
+    p = fem.Constant(grid, 0.0)
+    F = mpm.momentum(LAW, points, V.increment, V.test) + top.pressure(p, V.increment, V.test)
+    bcs = mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+    for p.value in (1e3, 2e3):
+        problem.step()
+    return points.gather("stress")[0]
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2", "bspline3"])
+def test_faces_under_pressure(basis):
+    """A face off the end of its domain by rounding had ended in forces that are not finite."""
+    check(*(pressed(origin, basis) for origin in (MAP, (0.0, 0.0))))
