@@ -236,7 +236,8 @@ class LeafBasis:
         """
         cells = self.cells_at(x)
         # a position at the upper sides of the leaves is in none of them
-        least = 1e-6 * self.cell_sizes().min(initial=1.0)
+        sizes = self.cell_sizes()
+        least = 1e-6 * sizes.min() if sizes.size else 0.0
         for corner in np.ndindex(*(2,) * x.shape[1]):
             lost = np.flatnonzero(cells < 0)
             cells[lost] = self.cells_at(x[lost] - least * np.array(corner))
