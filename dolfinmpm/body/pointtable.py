@@ -165,11 +165,11 @@ class PointTable(Uncopied):
         return len(self.fields.read("id"))
 
     def __contains__(self, name: object) -> bool:
-        return name in self.fields
+        return isinstance(name, str) and name in self.fields
 
     def __iter__(self) -> Iterator[str]:
-        # without it, Python asks for points[0]
-        return iter(self.fields)
+        # without it, Python asks for points[0]; a loop over the names may add fields
+        return iter(list(self.fields))
 
     def recount(self) -> None:
         """Count the points again after rows were added, removed or replaced. Collective."""

@@ -143,5 +143,18 @@ def test_points_list_their_fields():
     assert "density" in points
     assert "mass" not in points
     assert 0 not in points
+    assert ["density"] not in points
     assert list(points) == list(points.fields)
     assert len(points) == len(points["x"])
+    for name in points:
+        points.add_field(f"{name}_before", points[name].shape[1:])
+    assert "stress_before" in points
+
+
+def test_bodies_have_a_sum():
+    points, _, _ = block()
+    grid = points.grid
+    layers = [mpm.fill(grid, mpm.Box((0, k), (4, k + 1)), 2, 1e3, tag=k) for k in (0, 1)]
+    assert sum(layers).total == sum(layer.total for layer in layers)
+    with pytest.raises(ParameterError, match="points are joined with points only, got 1"):
+        1 + points
