@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
 from test_body_records import block
 
 import dolfinmpm as mpm
@@ -149,6 +150,18 @@ def test_points_list_their_fields():
     for name in points:
         points.add_field(f"{name}_before", points[name].shape[1:])
     assert "stress_before" in points
+
+
+def test_a_constant_of_ufl_is_no_function_of_positions():
+    """UFL had called it, and NumPy had told of an array's truth value."""
+    points, V, _ = block()
+    grid, box = points.grid, mpm.Box((0, 0), (4, 1))
+    constant = fem.Constant(grid, 1000.0)
+    for given in (constant, 2.0 * constant, V.increment):
+        with pytest.raises(ParameterError, match=r"density = .* is an expression of UFL"):
+            mpm.fill(grid, box, 2, given)
+        with pytest.raises(ParameterError, match=r"is an expression of UFL: give a number"):
+            points.add_field("heat", (), "K", given)
 
 
 def test_bodies_have_a_sum():
