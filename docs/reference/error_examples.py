@@ -168,6 +168,13 @@ def DegreesWarning():
     mpm.materials.MohrCoulomb(1e6, 0.3, cohesion=0.0, friction_angle=0.6)  # radians
 
 
+def WideComparisonWarning():
+    y0 = 5e6  # a northing (m)
+    corners, quadrilaterals = [(0, y0), (10, y0 + 5)], mesh.CellType.quadrilateral
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, (10, 5), quadrilaterals)
+    mpm.prescribed(mpm.Space(grid), lambda x: np.isclose(x[1], y0), 1)
+
+
 def DifferentProblemWarning():
     points, V = block()
     bottom = mpm.fixed(V, "bottom")

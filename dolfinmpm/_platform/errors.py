@@ -54,6 +54,7 @@ __all__ = [
     "UnstablePairWarning",
     "UnsupportedGridError",
     "UserLawError",
+    "WideComparisonWarning",
     "call_on_root",
     "call_together",
     "common_text",
@@ -168,6 +169,10 @@ class HeldLoadWarning(DolfinMPMWarning):
 
 class DegreesWarning(DolfinMPMWarning):
     """An angle may be in radians instead of degrees, or the reverse."""
+
+
+class WideComparisonWarning(DolfinMPMWarning):
+    """A function of places compares map coordinates by a tolerance that is as wide as the body."""
 
 
 class DifferentProblemWarning(DolfinMPMWarning):

@@ -22,8 +22,10 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.linecells import coordinate_rounding
 from dolfinmpm.grid.sides import side_of
 from dolfinmpm.grid.userfunctions import VelocityByTime, call_function, choose
+from dolfinmpm.grid.widecomparisons import warn_of_wide_comparison
 
 __all__ = [
     "Condition",
@@ -146,10 +148,12 @@ def _nodes(space: Space, where: Where, empty: str = "") -> tuple[npt.NDArray[np.
     if not callable(where):
         name, axis, end = side_of(where, gdim)
         low, high = _extent(comm, x[:, axis])
-        chosen = np.abs(x[:, axis] - (low, high)[end]) <= 1e-9 * (high - low)
+        chosen = np.abs(x[:, axis] - (low, high)[end]) <= coordinate_rounding(low, high)
         return np.flatnonzero(chosen).astype(np.int32), name
     nodes = call_together(comm, lambda: _chosen(space, where))
     low, high = _extent(comm, x[nodes])
+    if np.isfinite(low).all():
+        warn_of_wide_comparison(comm, where, low, high)
     name = getattr(where, "__name__", "<lambda>")
     if empty and name == "<lambda>":
         return nodes, empty

@@ -18,6 +18,7 @@ from dolfinmpm.basis.latticebasis import LatticeBasis
 from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.linear import LinearBasis
 from dolfinmpm.basis.stencils import Placement, Stencils, running_sum
+from dolfinmpm.grid.linecells import FAR
 
 __all__ = ["at_faces", "in_domains"]
 
@@ -67,7 +68,7 @@ def at_faces(
         # a way by gradients would reach beyond the box
         rest[at[(to != uncut).any(axis=1)]] = 0.0
     if basis.averaged:
-        faces = in_domains(basis, to, half, x, where.half[rows])
+        faces = in_domains(basis, *_on_grid(basis, to, half), x, where.half[rows])
     elif isinstance(basis, LeafBasis):
         faces = basis.in_cells(to, _cells(s, at))
     else:
@@ -106,7 +107,8 @@ def _ends(x: Array, half: Array, reach: Array) -> tuple[Array, Array]:
     left = limit - np.abs(step)
     to, at = x.copy(), half.copy()
     to[each, axis] += step
-    at[each, axis] = np.where(left > _ROUNDING * limit, left, 0.0)
+    rounding = np.maximum(_ROUNDING * limit, FAR * np.abs(to[each, axis]))
+    at[each, axis] = np.where(left > rounding, left, 0.0)
     return to, at
 
 
@@ -114,7 +116,15 @@ def _cut(at: Array, half: Array, low: Array, high: Array) -> tuple[Array, Array]
     """Centres and half-lengths of the parts of faces in a box, or of the places nearest to them."""
     first, last = np.clip(at - half, low, high), np.clip(at + half, low, high)
     cut = np.any((at - half < low) | (at + half > high), axis=1)[:, None]
-    return np.where(cut, 0.5 * (first + last), at), np.where(cut, 0.5 * (last - first), half)
+    part = np.where(last - first > FAR * np.abs(first), 0.5 * (last - first), 0.0)
+    return np.where(cut, 0.5 * (first + last), at), np.where(cut, part, half)
+
+
+def _on_grid(basis: LatticeBasis | LeafBasis, at: Array, half: Array) -> tuple[Array, Array]:
+    """Parts of domains; those beyond a side of the grid are at the side, where domains end."""
+    low, high = np.array([[line[0], line[-1]] for line in basis.lattice.lines]).T
+    beyond = (at + half <= low) | (at - half >= high)
+    return np.where(beyond, np.clip(at, low, high), at), np.where(beyond, 0.0, half)
 
 
 def in_domains(

@@ -20,7 +20,7 @@ from dolfinmpm.basis.latticeloops import group_keys, largest_reach, overlaps, st
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, Numbering, build_halo
 from dolfinmpm.grid.lattice import Lattice, lattice_of
-from dolfinmpm.grid.linecells import SNAP
+from dolfinmpm.grid.linecells import SNAP, coordinate_rounding
 from dolfinmpm.grid.partition import Partition
 
 __all__ = ["LatticeBasis", "first_parts"]
@@ -231,7 +231,8 @@ class LatticeBasis:
         if not self.averaged:
             for d, line in enumerate(self.lattice.lines):
                 i = low[:, d]
-                on[:, d] = (i > 0) & (x[:, d] - line[i] < SNAP * (line[i + 1] - line[i]))
+                least = coordinate_rounding(line[i], line[i + 1], SNAP)
+                on[:, d] = (i > 0) & (x[:, d] - line[i] < least)
         return on
 
     def _in_filled_cells(self, x, low) -> npt.NDArray[np.int32]:

@@ -9,13 +9,13 @@ import numpy as np
 
 from dolfinmpm.basis.gimp import domain_weights
 from dolfinmpm.basis.lineweights import (
-    SNAP,
     cell_of,
     line_weights,
     overlapped,
     ring_slopes,
     snapped,
 )
+from dolfinmpm.grid.linecells import rounding
 
 __all__ = ["group_keys", "largest_reach", "overlaps", "stencil_loop"]
 
@@ -59,7 +59,7 @@ def largest_reach(x, half, averaged, lines, line_start, uniform):
             if number > most:
                 most, worst = number, p
             if not averaged and at > 0 and layers < 1:
-                layers = int(x[p, d] - line[at] < SNAP * (line[at + 1] - line[at]))
+                layers = int(x[p, d] - line[at] < rounding(line[at], line[at + 1]))
     return layers, most, worst
 
 

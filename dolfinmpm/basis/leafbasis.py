@@ -29,7 +29,7 @@ from dolfinmpm.grid.halo import Numbering, dilated
 from dolfinmpm.grid.lattice import Lattice, once_per_grid
 from dolfinmpm.grid.leafnodes import LeafNodes
 from dolfinmpm.grid.leaves import Leaves
-from dolfinmpm.grid.linecells import SNAP
+from dolfinmpm.grid.linecells import SNAP, coordinate_rounding
 from dolfinmpm.grid.partition import Partition
 
 if TYPE_CHECKING:
@@ -236,7 +236,8 @@ class LeafBasis:
         """
         cells = self.cells_at(x)
         # a position at the upper sides of the leaves is in none of them
-        least = 1e-6 * self.cell_sizes().min(initial=1.0)
+        sizes = self.cell_sizes()
+        least = 1e-6 * sizes.min() if sizes.size else 0.0
         for corner in np.ndindex(*(2,) * x.shape[1]):
             lost = np.flatnonzero(cells < 0)
             cells[lost] = self.cells_at(x[lost] - least * np.array(corner))
@@ -246,7 +247,9 @@ class LeafBasis:
 
     def _inwards(self, at: Array, x: Array, half: Array) -> Array:
         """Positions in domains, moved off the ends of the domains by more than rounding (m)."""
-        rounding = 4 * SNAP * self.cell_sizes()[self.cells_at(x)][:, None]
+        cells = self.cells_at(x)
+        low, high = (corner[cells] for corner in self._box)
+        rounding = 4 * coordinate_rounding(low, high, SNAP)
         inside = np.maximum(half - rounding, 0.5 * half)
         return np.clip(at, x - inside, x + inside)
 
@@ -294,7 +297,7 @@ class LeafBasis:
         h = high - low
         lower = self.lattice.lines
         inside = np.column_stack([x[:, d] > lower[d][0] + 0.5 * h[:, d] for d in range(x.shape[1])])
-        on = inside & (x - low < SNAP * h)
+        on = inside & (x - low < coordinate_rounding(low, high, SNAP))
         some = on.any(axis=1)
         if not self.grid.comm.allreduce(bool(some.any()), op=MPI.LOR):
             return cells

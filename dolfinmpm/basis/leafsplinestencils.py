@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfinmpm.basis.bspline import spline_weights
 from dolfinmpm.basis.leafstencils import place
-from dolfinmpm.grid.linecells import SNAP
+from dolfinmpm.grid.linecells import rounding
 
 __all__ = ["fill_spline_stencils", "leaf_integrals"]
 
@@ -33,9 +33,10 @@ def _average(knots, degree, x, half, S, dS, dR, part, slope):
     # around a leaf, the knots are a line of which the leaf is the middle cell
     a, b = knots[degree - 1], knots[degree]
     if half == 0.0:
-        if abs(x - a) < SNAP * (b - a):
+        least = rounding(a, b)
+        if abs(x - a) < least:
             x = a
-        if abs(x - b) < SNAP * (b - a):
+        if abs(x - b) < least:
             x = b
         spline_weights(knots, degree - 1, degree, x, S, dS)
         for i in range(degree + 1):

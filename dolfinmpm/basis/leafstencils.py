@@ -10,6 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from dolfinmpm.grid.linecells import rounding
+
 __all__ = ["fill_stencils", "group_nodes", "list_hashes", "place", "starts_of_lists"]
 
 
@@ -119,9 +121,10 @@ def fill_stencils(
                         part *= right - left
                         middle[k] = 0.5 * (left + right)
                     S[k, 1] = (middle[k] - a) / (b - a)
-                    if half[p, k] == 0.0 and abs(S[k, 1]) < 1e-10:
+                    least = rounding(a, b) / (b - a)
+                    if half[p, k] == 0.0 and abs(S[k, 1]) < least:
                         S[k, 1] = 0.0
-                    if half[p, k] == 0.0 and abs(S[k, 1] - 1.0) < 1e-10:
+                    if half[p, k] == 0.0 and abs(S[k, 1] - 1.0) < least:
                         S[k, 1] = 1.0
                     S[k, 0] = 1.0 - S[k, 1]
                     slope[k, 1] = 1.0 / (b - a)

@@ -8,7 +8,7 @@ import numba
 
 from dolfinmpm.basis.bspline import averaged_spline_weights, weights_at
 from dolfinmpm.basis.gimp import domain_weights
-from dolfinmpm.grid.linecells import SNAP, cell_of
+from dolfinmpm.grid.linecells import cell_of, rounding
 
 __all__ = [
     "INNER",
@@ -40,15 +40,15 @@ def overlapped(line, uniform, x, half):
     """
     first = cell_of(line, uniform, x - half)
     last = first
-    rounding = SNAP * (line[first + 1] - line[first])
-    if half == 0.0 and first < line.size - 2 and line[first + 1] - x < rounding:
+    least = rounding(line[first], line[first + 1])
+    if half == 0.0 and first < line.size - 2 and line[first + 1] - x < least:
         return first + 1, 1
     if half > 0.0:
         last = cell_of(line, uniform, x + half)
         left, right = max(x - half, line[0]), min(x + half, line[line.size - 1])
-        if last > first and line[first + 1] - left < SNAP * (line[first + 1] - line[first]):
+        if last > first and line[first + 1] - left < least:
             first += 1
-        if last > first and right - line[last] < SNAP * (line[last + 1] - line[last]):
+        if last > first and right - line[last] < rounding(line[last], line[last + 1]):
             last -= 1
     return first, last - first + 1
 
@@ -57,9 +57,10 @@ def overlapped(line, uniform, x, half):
 def snapped(line, first, x, half):
     """Move a point without a domain onto the edge of its cell if only rounding separates them."""
     if half == 0.0:
-        if x - line[first] < SNAP * (line[first + 1] - line[first]):
+        least = rounding(line[first], line[first + 1])
+        if x - line[first] < least:
             x = line[first]
-        elif line[first + 1] - x < SNAP * (line[first + 1] - line[first]):
+        elif line[first + 1] - x < least:
             x = line[first + 1]
     return x
 

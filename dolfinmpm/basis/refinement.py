@@ -19,6 +19,7 @@ from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.stencils import Placement
 from dolfinmpm.grid.lattice import Lattice, require_lattice
 from dolfinmpm.grid.leaves import Leaves, leaves_of
+from dolfinmpm.grid.linecells import relative_rounding
 from dolfinmpm.grid.partition import Partition
 from dolfinmpm.grid.userfunctions import call_function
 
@@ -153,7 +154,8 @@ class Refinement:
         if least <= 0.0:
             return self.levels
         edge = max(np.diff(line).max() for line in self.lattice.lines)
-        return min(self.levels, max(0, math.ceil(math.log2(edge / least) - 1e-9)))
+        close = relative_rounding(self.lattice.lines)
+        return min(self.levels, max(0, math.ceil(math.log2(edge / least) - close)))
 
     @property
     def lattice(self) -> Lattice:

@@ -11,7 +11,7 @@ import numba
 
 from dolfinmpm.basis.bspline import uniform_averages, uniform_weights
 from dolfinmpm.basis.gimp import uniform_domain_weights
-from dolfinmpm.grid.linecells import SNAP
+from dolfinmpm.grid.linecells import FAR, SNAP
 
 __all__ = ["middle_count", "middle_weights"]
 
@@ -41,13 +41,15 @@ def middle_weights(degree, averaged, x, half, start, per_length, last, S, dS):
         first: The first cell of the point.
     """
     at = (x - start) * per_length
+    # as `linecells.rounding`, in cells
+    least = max(SNAP, FAR * (abs(start) * per_length + last + 1))
     if not averaged:
         i = int(at)
         if degree > 1:
             # splines that begin at the point's own grid line are 0 there, see `line_weights`
-            if i + 1 - at < SNAP:
+            if i + 1 - at < least:
                 i += 1
-            if at - i < SNAP:
+            if at - i < least:
                 at = float(i)
         known = i >= degree - 1 and i <= last - degree + 1 and (degree > 1 or at >= 0.0)
         a, b, c, e, da, db, dc, de = uniform_weights(degree, at - i, per_length)
@@ -62,10 +64,10 @@ def middle_weights(degree, averaged, x, half, start, per_length, last, S, dS):
     i = int(left)
     known = half > 0.0 and left > 0.0 and right < last and right < i + 2
     # an overlap that rounding makes does not count
-    if i + 1 - left < SNAP:
+    if i + 1 - left < least:
         i += 1
         left = float(i)
-    if right > i + 1 and right - i - 1 < SNAP:
+    if right > i + 1 and right - i - 1 < least:
         right = float(i + 1)
     left, right = left - i, right - i
     if degree == 1:

@@ -40,6 +40,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
 from dolfinmpm.body.shapevolumes import correct, pieces_inside
 from dolfinmpm.grid.lattice import Lattice, lattice_of, require_lattice
+from dolfinmpm.grid.linecells import coordinate_rounding
 from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["fill"]
@@ -207,7 +208,7 @@ def _check_inside(grid: Mesh, shape: Shape, axisymmetric: bool) -> None:
         raise ParameterError(
             f"{type(shape).__name__} has {len(shape.low)} coordinates, the grid has {gdim}"
         )
-    slack = 1e-9 * (high - low)
+    slack = coordinate_rounding(low, high)
     if np.any(shape.low < low - slack) or np.any(shape.high > high + slack):
         cut = "enlarge the grid"
         if axisymmetric and shape.low[0] < 0.0:
@@ -264,7 +265,7 @@ def _whole_parts(grid: Mesh, parts: Parts, shape: Shape):
 def _trimmed(parts: LatticeParts, shape: Box):
     low, high = parts.low, parts.high
     # a gap from rounding between a face of the box and a face of a part is no overlap
-    slack = _SLIVER * (high - low)
+    slack = coordinate_rounding(low, high, _SLIVER)
     low = np.where(np.abs(low - shape.low) > slack, np.maximum(low, shape.low), low)
     high = np.where(np.abs(high - shape.high) > slack, np.minimum(high, shape.high), high)
     keep = np.all(high - low > slack, axis=1)

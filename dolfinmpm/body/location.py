@@ -22,6 +22,7 @@ from dolfinmpm.basis.cells import contained
 from dolfinmpm.basis.linear import kind_of
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.grid.lattice import Lattice, lattice_of, once_per_grid, times_regridded
+from dolfinmpm.grid.linecells import FAR, coordinate_rounding
 from dolfinmpm.grid.partition import Partition
 
 __all__ = [
@@ -47,7 +48,7 @@ def _cells(x, lines, starts, uniform, origin, table, shape, cells):
             line = lines[starts[d] : starts[d + 1]]
             n, here = line.size - 1, x[p, d]
             length = line[n] - line[0]
-            beyond = _TOLERANCE * length / n
+            beyond = max(_TOLERANCE * length / n, FAR * max(abs(line[0]), abs(line[n])))
             if not (here >= line[0] - beyond and here <= line[n] + beyond):
                 at = -1
                 break
@@ -96,7 +97,7 @@ class _LatticeLocator:
         """Whether each position is in a given local cell."""
         inside = np.ones(len(x), bool)
         for d, line in enumerate(self._lattice.lines):
-            slack = _TOLERANCE * (line[-1] - line[0]) / (line.size - 1)
+            slack = coordinate_rounding(line[0], line[-1], _TOLERANCE / (line.size - 1))
             at = self._lattice.cell_ijk[cells, d]
             inside &= (x[:, d] >= line[at] - slack) & (x[:, d] <= line[at + 1] + slack)
         return inside

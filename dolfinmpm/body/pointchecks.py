@@ -30,11 +30,13 @@ from dolfinmpm.grid.tensors import determinants
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
+    from dolfinmpm.body.pointtable import PointTable
 
 __all__ = [
     "OF_STRAIN",
     "astray",
     "check_grid",
+    "check_numbers",
     "checked",
     "checked_rows",
     "checked_tag",
@@ -340,3 +342,23 @@ def _strained(points: MaterialPoints) -> slice | npt.NDArray[np.bool_]:
     if marks.size and marks.min() >= 1 and marks.max() <= OF_STRAIN[-1]:
         return slice(None)
     return np.isin(marks, OF_STRAIN + _GIVEN)
+
+
+def check_numbers(points: PointTable, old: npt.NDArray[Any]) -> None:
+    """Refuse new numbers that do not tell points apart. Collective.
+
+    Args:
+        points: The points, with new numbers "id".
+        old: The numbers before, shape (n,), which come back where the new ones are refused.
+
+    Raises:
+        ParameterError: Numbers are negative, or two points have the same.
+    """
+    every = np.concatenate(points.comm.allgather(points["id"]))
+    if every.min(initial=0) < 0 or np.unique(every).size < every.size:
+        points.fields["id"] = old
+        raise ParameterError(
+            f"'id' identifies the points, and must be {points.total} different numbers from 0 on "
+            "all ranks together; for other numbers add a field, points.add_field"
+        )
+    points.fields.seal("id")

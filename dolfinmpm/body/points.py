@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.argumentchecks import truth
+from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import call_together, raise_together
+from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
 from dolfinmpm.body import pointchanges, pointfiles, pointinput
 from dolfinmpm.body.axisymmetry import require_axis
 from dolfinmpm.body.fields import PointField
@@ -323,6 +323,16 @@ class MaterialPoints(PointTable):
             FieldShapeError: A field has another shape in the other body.
         """
         return pointchanges.joined(self, other)
+
+    def __radd__(self, other: Any) -> MaterialPoints:
+        """The body itself for 0, so that `sum` joins bodies.
+
+        Raises:
+            ParameterError: `other` is something else.
+        """
+        if isinstance(other, int) and other == 0:
+            return self
+        raise ParameterError(f"points are joined with points only, got {shown(other)}")
 
     @collective
     def add(self, other: MaterialPoints) -> PointChange:

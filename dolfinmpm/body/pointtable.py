@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -28,7 +29,7 @@ from dolfinmpm.body.familyids import ancestors_of
 from dolfinmpm.body.fieldarrays import FieldArrays, checksums
 from dolfinmpm.body.fields import PointField, no_field
 from dolfinmpm.body.location import Destinations, migrate
-from dolfinmpm.body.pointchecks import OF_STRAIN, astray, error_in_fields
+from dolfinmpm.body.pointchecks import OF_STRAIN, astray, check_numbers, error_in_fields
 from dolfinmpm.body.pointsymbols import PointSymbols
 
 if TYPE_CHECKING:
@@ -163,6 +164,13 @@ class PointTable(Uncopied):
     def __len__(self) -> int:
         return len(self.fields.read("id"))
 
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self.fields
+
+    def __iter__(self) -> Iterator[str]:
+        # without it, Python asks for points[0]; a loop over the names may add fields
+        return iter(list(self.fields))
+
     def recount(self) -> None:
         """Count the points again after rows were added, removed or replaced. Collective."""
         ids = self.fields.read("id")
@@ -266,18 +274,7 @@ class PointTable(Uncopied):
         old = self[name].copy()
         call_together(self.comm, lambda: self._set(name, values))
         if name == "id":
-            self._check_numbers(old)
-
-    def _check_numbers(self, old: Any) -> None:
-        """Refuse new numbers that do not tell points apart; the old come back. Collective."""
-        every = np.concatenate(self.comm.allgather(self["id"]))
-        if every.min(initial=0) < 0 or np.unique(every).size < every.size:
-            self.fields["id"] = old
-            raise ParameterError(
-                f"'id' identifies the points, and must be {self.total} different numbers from 0 on "
-                "all ranks together; for other numbers add a field, points.add_field"
-            )
-        self.fields.seal("id")
+            check_numbers(self, old)
 
     def _set(self, name: str, values: npt.ArrayLike) -> None:
         target = self[name]

@@ -32,6 +32,7 @@ from dolfinx.mesh import Mesh
 from dolfinmpm.body.location import bounds
 from dolfinmpm.contact.contactpoints import ContactForces, ContactStart, CornerFields
 from dolfinmpm.contact.meanforces import normal_energy
+from dolfinmpm.grid.linecells import coordinate_rounding
 
 if TYPE_CHECKING:
     from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
@@ -60,7 +61,8 @@ def held_components(grid: Mesh, fixed: Mask, positions: Callable[[], Array]) -> 
     if not fixed.any():
         return None
     x = positions()
-    on = np.minimum(np.abs(x - low), np.abs(x - high)) <= _ON_SIDE * (high - low).max()
+    close = coordinate_rounding(low, high, _ON_SIDE).max()
+    on = np.minimum(np.abs(x - low), np.abs(x - high)) <= close
     # a node on two sides: components across either side do not count
     held: Mask = fixed & ~on & on.any(axis=1)[:, None]
     return held if held.any() else None

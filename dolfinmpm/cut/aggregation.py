@@ -23,11 +23,15 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 import numpy.typing as npt
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis
 from dolfinmpm.basis.bspline import extension_weights
 from dolfinmpm.basis.cells import pull_back
 from dolfinmpm.cut.leafaggregation import leaf_constraints
+from dolfinmpm.grid.lattice import cell_volumes
+from dolfinmpm.grid.linecells import FAR, relative_rounding
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -72,12 +76,12 @@ def _inner(nodes, node_ijk, degree, origin, shape, good, inner):
 @numba.njit(cache=True, error_model="numpy")
 def _roots(
     outer, node_ijk, x, middles, middle_start, size, degree, origin, shape, root, radius, growth,
-    found,
+    close, found,
 ):  # fmt: skip
     """Root cell of every outer node: the cell with the least growth, then the nearest cell.
 
     `growth` is the logarithm of the growth by a continuation over k functions along one direction.
-    Among equal cells the lattice position decides.
+    Among equal cells the lattice position decides; distances are equal up to the share `close`.
 
     A node on the grid's edge uses only cells on this edge. So it has the same conditions as the
     nodes of its root.
@@ -112,7 +116,7 @@ def _roots(
                     grown += growth[steps]
                 worse = grown > least + 1e-9
                 if not worse and grown > least - 1e-9:
-                    worse = distance >= best * (1.0 - 1e-9)
+                    worse = distance >= best * (1.0 - close)
                 if not allowed or worse:
                     continue
                 at = _linear_index(c, origin, shape)
@@ -139,10 +143,11 @@ def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, exten
     halo, degree = basis.halo, basis.degree
     cells = halo.cell_table.ravel()
     shape = np.array(halo.cell_table.shape, np.int64)
+    close = relative_rounding(basis.lattice.lines)
     if degree == 1:
         known = cells >= 0
         good = np.zeros(cells.size, bool)
-        good[known] = filled[cells[known]] >= threshold - 1e-9
+        good[known] = filled[cells[known]] >= threshold - close
         inner = np.zeros(basis.nodes.size, bool)
         # a node without a cell of the body has no well-filled cell
         _inner(nodes, halo.node_ijk, degree, halo.origin, shape, good, inner)
@@ -151,8 +156,8 @@ def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, exten
     else:
         # share of the last function if the body ends in a cell filled to the threshold
         least = threshold ** (degree + 1) / math.factorial(degree + 1)
-        inner = filled >= least * (1 - 1e-9)
-        inner[_best_nodes(basis, filled, least * (1 - 1e-9))] = True
+        inner = filled >= least * (1 - close)
+        inner[_best_nodes(basis, filled, least * (1 - close))] = True
     return inner, _lowest(basis, inner).ravel()
 
 
@@ -188,7 +193,8 @@ def _lattice_constraints(basis: LatticeBasis, nodes, filled, threshold: float, e
     x = basis.node_coordinates()[:, : shape.size]
     _roots(
         outer, halo.node_ijk, x, np.concatenate(middles), starts, np.array(lattice.shape), degree,
-        halo.origin, shape, root, SEARCH_RADIUS, _growth(degree), found,
+        halo.origin, shape, root, SEARCH_RADIUS, _growth(degree),
+        relative_rounding(lattice.lines), found,
     )  # fmt: skip
     has_root = found[:, 0] >= 0
     outer, found = outer[has_root], found[has_root]
@@ -241,6 +247,13 @@ class MeshRoots:
     unknown: tuple[npt.NDArray, npt.NDArray, npt.NDArray]
 
 
+def _mesh_rounding(grid: Mesh) -> float:
+    """Relative rounding error of lengths in the cells of any grid. Collective."""
+    far = grid.comm.allreduce(np.abs(grid.geometry.x).max(initial=0.0), op=MPI.MAX)
+    least = grid.comm.allreduce(cell_volumes(grid).min(initial=math.inf), op=MPI.MIN)
+    return float(max(1e-9, FAR * far / least ** (1 / grid.geometry.dim)))
+
+
 def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoots:
     """Roots of the nodes that have no well-filled cell, on any grid. Collective.
 
@@ -251,7 +264,8 @@ def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoo
         threshold: Fraction from which a cell is well-filled.
     """
     d, owned = basis.grid.geometry.dim, basis.cells.owned
-    good = np.flatnonzero(fraction[:owned] >= threshold - 1e-9)
+    close = _mesh_rounding(basis.grid)
+    good = np.flatnonzero(fraction[:owned] >= threshold - close)
     inner = np.zeros(basis.nodes.size, bool)
     inner[basis.dofs[good]] = True
     inner = basis.nodes.share_flags(inner)
@@ -264,7 +278,7 @@ def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoo
         from scipy.spatial import cKDTree
 
         distance, near = cKDTree(middles).query(X[outer], k=[*range(1, count + 1)])
-        equal = distance <= distance[:, :1] * (1 + 1e-9)
+        equal = distance <= distance[:, :1] * (1 + close)
         root = np.where(equal, near, len(middles)).min(axis=1)
     wanted = indices[root].ravel()
     unknown = basis.nodes.index_map.global_to_local(wanted) < 0

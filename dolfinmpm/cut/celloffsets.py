@@ -15,6 +15,7 @@ from dolfinx.la import InsertMode
 from dolfinmpm.basis import LatticeBasis, LeafBasis, Placement
 from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.fractions import fill_fractions
+from dolfinmpm.grid.linecells import relative_rounding
 
 __all__ = ["cell_offsets"]
 
@@ -97,8 +98,9 @@ def _roots(basis: LatticeBasis, filled: Array, level: float) -> Ints:
 
     ijk, own = basis.halo.cell_ijk, basis.cells.owned
     root = np.arange(own)
-    good = np.flatnonzero(filled >= level - 1e-9)
-    ill = np.flatnonzero((filled[:own] > 0) & (filled[:own] < level - 1e-9))
+    close = relative_rounding(basis.lattice.lines)
+    good = np.flatnonzero(filled >= level - close)
+    ill = np.flatnonzero((filled[:own] > 0) & (filled[:own] < level - close))
     if not good.size or not ill.size:
         return root
     # among equal cells the lowest position decides, on any number of ranks
@@ -106,6 +108,6 @@ def _roots(basis: LatticeBasis, filled: Array, level: float) -> Ints:
     low, high = basis.cell_corners()
     middle, count = 0.5 * (low + high), min(_EQUAL, good.size)
     distance, near = cKDTree(middle[good]).query(middle[ill], k=[*range(1, count + 1)])
-    equal = distance <= distance[:, :1] * (1 + 1e-9)
+    equal = distance <= distance[:, :1] * (1 + close)
     root[ill] = good[np.where(equal, near, good.size).min(axis=1)]
     return root

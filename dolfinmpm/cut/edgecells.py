@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from dolfinmpm.basis import LatticeBasis, LeafBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.cut.fractions import cell_sums, fill_fractions
+from dolfinmpm.grid.linecells import coordinate_rounding
 
 __all__ = ["at_edges", "ill_at_edges"]
 
@@ -39,7 +40,7 @@ def at_edges(basis: LatticeBasis | LeafBasis) -> Mask:
     low, high = basis.cell_corners()
     found = []
     for d, line in enumerate(basis.lattice.lines):
-        close = _ROUNDING * (line[-1] - line[0])
+        close = coordinate_rounding(line[0], line[-1], _ROUNDING)
         found.append((low[:, d] - line[0] <= close) | (line[-1] - high[:, d] <= close))
     return np.array(found)
 

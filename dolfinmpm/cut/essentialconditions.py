@@ -24,6 +24,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.activecells import active_nodes
+from dolfinmpm.grid.linecells import coordinate_rounding
 from dolfinmpm.grid.sides import side_of
 from dolfinmpm.grid.userfunctions import call_function, choose
 
@@ -367,7 +368,7 @@ def nodes_at_side(basis: LeafBasis, axis: int, end: int) -> npt.NDArray[np.int32
         axis, end: Direction of the side's normal, and 0 for its lower or 1 for its upper end.
     """
     line, x = basis.lattice.lines[axis], basis.node_coordinates()[:, axis]
-    chosen = np.abs(x - line[-end]) <= 1e-9 * (line[-1] - line[0])
+    chosen = np.abs(x - line[-end]) <= coordinate_rounding(line[0], line[-1])
     return np.flatnonzero(chosen).astype(np.int32)
 
 

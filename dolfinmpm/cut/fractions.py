@@ -14,6 +14,7 @@ from dolfinmpm.basis.lineweights import INNER
 from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import cell_volumes
+from dolfinmpm.grid.linecells import coordinate_rounding
 
 __all__ = ["cell_sums", "domain_shares", "fill_fractions", "support_shares"]
 
@@ -195,7 +196,7 @@ def _met_sides(where: Placement, stencils: Stencils, basis: LatticeBasis | LeafB
     first, nodes_each = s.cell_start[:-1][inside], np.diff(s.node_start)
     of_group = np.empty(inside.size)
     for d, line in enumerate(basis.lattice.lines):
-        size, close = high[:, d] - low[:, d], 1e-9 * (line[-1] - line[0])
+        size, close = high[:, d] - low[:, d], coordinate_rounding(line[0], line[-1])
         for k, (corner, end) in enumerate(((low, line[0]), (high, line[-1]))):
             half = np.where(np.abs(corner[:, d] - end) <= close, 0.5 * size, -1.0)
             of_group[:] = -1.0
@@ -218,7 +219,7 @@ def _support_inside(line: Array, inner: Array, met: Array) -> Array:
     Returns:
         The shares, shape (functions,).
     """
-    close = 1e-9 * (line[-1] - line[0])
+    close = coordinate_rounding(line[0], line[-1])
     beyond = np.stack([np.abs(inner - end) <= close for end in (line[0], line[-1])], axis=1)
     cells = np.where(met > 0, 0, beyond.sum(axis=2)).sum(axis=1)
     return np.asarray(1.0 - cells / (inner.shape[1] + 1))

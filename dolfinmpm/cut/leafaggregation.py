@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm.basis import LeafBasis
 from dolfinmpm.basis.bspline import extended
+from dolfinmpm.grid.linecells import coordinate_rounding, relative_rounding
 
 __all__ = ["leaf_constraints"]
 
@@ -40,15 +41,15 @@ def leaf_constraints(
         threshold: Fraction from which a leaf is well-filled; for splines see `constraint_matrix`.
         every: Whether every leaf of supported nodes may be a root, not only a well-filled one.
     """
-    p = basis.degree
+    p, close = basis.degree, _rounding(basis)
     if p == 1:
-        good = filled >= threshold - 1e-9
+        good = filled >= threshold - close
         inner: npt.NDArray[np.bool_] = np.zeros(basis.nodes.size, bool)
         inner[basis.corner_nodes[good].ravel()] = True
         # the nodes that a supported hanging node follows have its support
         inner |= np.asarray(basis.hanging.T @ inner.astype(float) > 0)
     else:
-        inner = filled >= threshold ** (p + 1) / math.factorial(p + 1) * (1 - 1e-9)
+        inner = filled >= threshold ** (p + 1) / math.factorial(p + 1) * (1 - close)
     if every or p > 1:
         good = np.asarray(inner[basis.corner_nodes].all(axis=1))
     outer = nodes[~inner[nodes] & ~basis.hangs[nodes]]
@@ -87,16 +88,21 @@ def _nearest(basis: LeafBasis, outer: npt.NDArray[np.int32], roots: Rows) -> Row
     ends = np.array([[line[0], line[-1]] for line in basis.lattice.lines])
     allowed: npt.NDArray[np.bool_] = np.ones(near.shape, bool)
     for d, (first, last) in enumerate(ends):
-        slack = 1e-9 * (last - first)
+        slack = coordinate_rounding(first, last)
         for corner, end in ((low, first), (high, last)):
             at_side = np.abs(x[:, d] - end) <= slack
             allowed &= ~at_side[:, None] | (np.abs(corner[roots][near][..., d] - end) <= slack)
     allowed |= ~allowed.any(axis=1, keepdims=True)
     unit = np.where(allowed & (unit <= far), unit, np.inf)
     best = unit.min(axis=1, keepdims=True)
-    chosen = np.where(unit <= best * (1 + 1e-9), near, roots.size).min(axis=1)
+    chosen = np.where(unit <= best * (1 + _rounding(basis)), near, roots.size).min(axis=1)
     known = np.isfinite(best[:, 0])
     return np.where(known, roots[np.minimum(chosen, roots.size - 1)], -1)
+
+
+def _rounding(basis: LeafBasis) -> float:
+    """Relative rounding error of lengths in leaves."""
+    return relative_rounding(basis.lattice.lines, 2.0**-basis.leaves.tree.levels)
 
 
 def _candidates(x: Array, middles: Array, rows: Rows, most: int) -> tuple[Array, Rows]:

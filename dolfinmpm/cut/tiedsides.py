@@ -21,6 +21,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.grid.lattice import lattice_of, require_lattice
+from dolfinmpm.grid.linecells import coordinate_rounding
 
 __all__ = ["TiedSides", "tied"]
 
@@ -85,16 +86,17 @@ def tied(space: Space, period: float, *, axis: int = 0) -> TiedSides:
     axis = whole("axis", axis, 0, d - 1)
     basis = space.basis
     assert isinstance(basis, LatticeBasis)
-    sizes = np.diff(basis.lattice.lines[axis])
+    line = basis.lattice.lines[axis]
+    sizes, far = np.diff(line), coordinate_rounding(line[0], line[-1], 0.0)
     h = float(sizes.mean())
-    if np.abs(sizes - h).max() > 1e-9 * h:
+    if np.abs(sizes - h).max() > max(1e-9 * h, far):
         raise ParameterError(
             f"tied sides need equal cells along the axis {axis}; they are {sizes.min():g} to "
             f"{sizes.max():g} m long"
         )
     # a period of two grids is refused before the first step
     count = round(min(number("period", period, 0.0, unit="m") / h, 2.0 * sizes.size))
-    if count < 1 or abs(count * h - period) > 1e-9 * period:
+    if count < 1 or abs(count * h - period) > max(1e-9 * period, far):
         raise ParameterError(
             f"period = {period:g} m must be a whole number of cells of {h:g} m: take "
             f"{max(count, 1) * h:g} m"

@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
 from dolfinmpm.grid.cellkinds import check_cells
 from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.linecells import FAR, coordinate_rounding
 
 __all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of", "times_regridded"]
 
@@ -112,7 +113,7 @@ class Lattice:
         """
         inside = np.ones(len(x), bool)
         for d, line in enumerate(self.lines):
-            margin = slack * (line[-1] - line[0]) / (line.size - 1)
+            margin = coordinate_rounding(line[0], line[-1], slack / (line.size - 1))
             inside &= (x[:, d] >= line[0] - margin) & (x[:, d] <= line[-1] + margin)
         return inside
 
@@ -154,11 +155,10 @@ def lattice_of(grid: Mesh) -> Lattice | None:
     # a rank without cells takes part in every call all the same
     low = comm.allgather(x.min(axis=0) if x.size else np.full(gdim, math.inf))
     high = comm.allgather(x.max(axis=0) if x.size else np.full(gdim, -math.inf))
-    extent = np.max(high, axis=0) - np.min(low, axis=0)
-    lines = tuple(_global_line(comm, x[:, d], 1e-9 * extent[d]) for d in range(gdim))
+    slack = coordinate_rounding(np.min(low, axis=0), np.max(high, axis=0))
+    lines = tuple(_global_line(comm, x[:, d], slack[d]) for d in range(gdim))
     corners = x[vertices]
     lower, upper = corners.min(axis=1), corners.max(axis=1)
-    slack = 1e-9 * extent
     boxes = np.minimum(np.abs(corners - lower[:, None]), np.abs(corners - upper[:, None])) <= slack
     lattice = Lattice(lines, np.empty((0, gdim), np.int32), False)
     ijk = lattice.index(lower) if len(vertices) else np.empty((0, gdim), np.int32)
@@ -168,7 +168,10 @@ def lattice_of(grid: Mesh) -> Lattice | None:
     if not comm.allreduce(ok, op=MPI.LAND):
         return None
     steps = [np.diff(line) for line in lines]
-    uniform = all(np.ptp(s) <= 1e-9 * s.mean() * line.size for s, line in zip(steps, lines))
+    uniform = all(
+        np.ptp(s) <= max(1e-9 * s.mean() * line.size, coordinate_rounding(line[0], line[-1], 0.0))
+        for s, line in zip(steps, lines)
+    )
     if uniform:
         # rounding errors of the mesh generator must not decide the cell of a point on a grid line
         lines = tuple(np.linspace(line[0], line[-1], line.size) for line in lines)
@@ -229,7 +232,9 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     sizes = (cell_volumes(grid) * (math.factorial(gdim) if simplex else 1)) ** (1 / gdim)
     least = grid.comm.allreduce(sizes.min(initial=math.inf), op=MPI.MIN)
     largest = grid.comm.allreduce(sizes.max(initial=0.0), op=MPI.MAX)
-    if largest - least <= 1e-9 * largest:
+    # edges of cells far from the origin are rounded by more
+    far = FAR * grid.comm.allreduce(np.abs(grid.geometry.x).max(initial=0.0), op=MPI.MAX)
+    if largest - least <= max(1e-9 * largest, far):
         return own_constant(grid, 0.5 * (least + largest))
     return _as_function(grid, sizes)
 
@@ -274,7 +279,8 @@ def cell_edges(grid: Mesh, by: int = 1) -> fem.Function | None:
     if lattice is None:
         return None
     steps = np.concatenate([np.diff(line) for line in lattice.lines])
-    return None if np.ptp(steps) <= 1e-9 * steps.max() else edge_function(grid, by)
+    far = max(coordinate_rounding(line[0], line[-1], 0.0) for line in lattice.lines)
+    return None if np.ptp(steps) <= max(1e-9 * steps.max(), far) else edge_function(grid, by)
 
 
 def edge_function(grid: Mesh, by: int = 1) -> fem.Function:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from dolfinmpm.grid.linecells import SNAP, cell_of
+from dolfinmpm.grid.linecells import cell_of, rounding
 
 __all__ = [
     "ROOM",
@@ -44,7 +44,7 @@ def _root_cell(lines, start, d, x):
     """Root that contains a coordinate, in one direction; the nearest root outside the grid."""
     line = lines[start[d] : start[d + 1]]
     cell = cell_of(line, False, x)
-    if cell < line.size - 2 and line[cell + 1] - x < SNAP * (line[cell + 1] - line[cell]):
+    if cell < line.size - 2 and line[cell + 1] - x < rounding(line[cell], line[cell + 1]):
         cell += 1
     return cell
 
@@ -64,7 +64,7 @@ def leaf_at(x, lines, start, levels, shape, low, size, child):
         for k in range(d):
             a = coordinate(lines, start, levels, k, low[node, k])
             middle = coordinate(lines, start, levels, k, low[node, k] + half)
-            number = 2 * number + int(middle - x[k] < SNAP * (middle - a))
+            number = 2 * number + int(middle - x[k] < rounding(a, middle))
         node = child[node] + number
     return node
 
@@ -127,13 +127,14 @@ def leaves_in(x, half, lines, start, levels, shape, low, size, child, stack, fou
         for k in range(d):
             a = coordinate(lines, start, levels, k, low[node, k])
             b = coordinate(lines, start, levels, k, low[node, k] + size[node])
+            least = rounding(a, b)
             if half[k] == 0.0:
                 last = low[node, k] + size[node] >= shape[k] << levels
-                before = x[k] < a - SNAP * (b - a) and low[node, k] > 0
-                inside = inside and not before and (last or b - x[k] >= SNAP * (b - a))
+                before = x[k] < a - least and low[node, k] > 0
+                inside = inside and not before and (last or b - x[k] >= least)
                 continue
             common = min(x[k] + half[k], b) - max(x[k] - half[k], a)
-            inside = inside and common > min(SNAP * (b - a), 0.25 * half[k])
+            inside = inside and common > min(least, 0.25 * half[k])
         if not inside:
             continue
         if child[node] < 0:

@@ -16,6 +16,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.grid.lattice import Lattice
 from dolfinmpm.grid.leafsearch import ROOM, mark_touched, nodes_at, overlaps_of, too_coarse
+from dolfinmpm.grid.linecells import relative_rounding
 
 __all__ = ["Leaves", "Tree", "Wanted", "leaves_of"]
 
@@ -199,7 +200,7 @@ def leaves_of(
     Raises:
         PointsOutsideGridError: A domain overlaps too many leaves.
     """
-    tree = Tree.roots(lattice, levels)
+    tree, close = Tree.roots(lattice, levels), relative_rounding(lattice.lines, 2.0**-levels)
     x, half = np.ascontiguousarray(x), np.ascontiguousarray(half)
     for level in range(levels):
         touched = _touched(comm, tree, x, half)
@@ -215,7 +216,7 @@ def leaves_of(
                 nodes_at(tree.low[rows], *search, former)
                 was_split = former_leaves.tree.size[former] < tree.size[rows]
                 size = np.where(was_split, size / HYSTERESIS, size)
-            chosen[rows] = size < edge * (1 - 1e-9)
+            chosen[rows] = size < edge * (1 - close)
         if not chosen.any():
             break
         tree.split(chosen)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import array_of, at_time, cut, floats, number, shown
 from dolfinmpm._platform.errors import DolfinMPMError, FieldShapeError, ParameterError
@@ -28,6 +29,12 @@ Array = npt.NDArray[np.float64]
 
 def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
     n, d = x.shape
+    if isinstance(function, Expr):
+        # UFL calls its own expressions, with other arguments
+        raise ParameterError(
+            f"{what} = {shown(function)} is an expression of UFL: give a number, or a function of "
+            f"positions (m) of shape ({d}, {n}), as in lambda x: 1000.0 + 10.0 * x[-1]"
+        )
     try:
         # a copy: functions may change their argument in place
         return function(np.array(x.T, order="C"))

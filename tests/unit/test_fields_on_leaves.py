@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
@@ -104,3 +105,27 @@ def test_conditions_without_a_node_on_leaves_are_told(basis):
     problem = mpm.Transient(F, [V.increment, Q.increment], points, bcs)
     with pytest.raises(mpm.errors.ParameterError, match="pressure at 'line' hold no node"):
         problem.step(1.0)
+
+
+def test_leaves_of_any_size_give_their_first_guess():
+    """Values at the upper sides of leaves above 10 km had been lost, in silence."""
+    iterations = []
+    for size in (1.0, 2.0**20):
+        cells, top = mesh.CellType.quadrilateral, 2 * size
+        grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (top, top)], (8, 8), cells)
+        V = mpm.Space(grid, "gimp", refine=lambda x, a=size: np.where(x[1] < a, a / 8, a), levels=1)
+        points = mpm.fill(grid, mpm.Box((0, 0), (1.5 * size, 1.3 * size)), 2, 1.0, refine=V)
+        g = fem.Constant(grid, (0.0, 0.0))
+        F = mpm.momentum(mpm.materials.Hencky(1.0, 0.3), points, V.increment, V.test)
+        F -= ufl.inner(points.density * g, V.test) * points.dX
+        bcs = mpm.fixed(V, "bottom")
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+        steps = []
+        for k in range(3):
+            g.value[1] = -0.02 * (k + 1) / size
+            steps.append(problem.step().iterations)
+        iterations.append(steps)
+        basis = problem.activate().fields[0].basis
+        rows, _ = basis.values_at(basis.node_coordinates()[:, :2])
+        assert rows.size == basis.nodes.size
+    assert iterations[0] == iterations[1]

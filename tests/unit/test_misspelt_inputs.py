@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
 from test_body_records import block
 
 import dolfinmpm as mpm
@@ -135,3 +136,38 @@ def test_a_name_of_another_module_is_told(name, told):
 def test_a_component_by_its_letter():
     with pytest.raises(ParameterError, match=r"'y' must be in 0 \.\.\. 1 .* along x\[0\]"):
         mpm.prescribed(block()[1], "top", "y", increment=-0.01)
+
+
+def test_points_list_their_fields():
+    """Python had asked for points[0], and told of that."""
+    points, _, _ = block()
+    assert "density" in points
+    assert "mass" not in points
+    assert 0 not in points
+    assert ["density"] not in points
+    assert list(points) == list(points.fields)
+    assert len(points) == len(points["x"])
+    for name in points:
+        points.add_field(f"{name}_before", points[name].shape[1:])
+    assert "stress_before" in points
+
+
+def test_a_constant_of_ufl_is_no_function_of_positions():
+    """UFL had called it, and NumPy had told of an array's truth value."""
+    points, V, _ = block()
+    grid, box = points.grid, mpm.Box((0, 0), (4, 1))
+    constant = fem.Constant(grid, 1000.0)
+    for given in (constant, 2.0 * constant, V.increment):
+        with pytest.raises(ParameterError, match=r"density = .* is an expression of UFL"):
+            mpm.fill(grid, box, 2, given)
+        with pytest.raises(ParameterError, match=r"is an expression of UFL: give a number"):
+            points.add_field("heat", (), "K", given)
+
+
+def test_bodies_have_a_sum():
+    points, _, _ = block()
+    grid = points.grid
+    layers = [mpm.fill(grid, mpm.Box((0, k), (4, k + 1)), 2, 1e3, tag=k) for k in (0, 1)]
+    assert sum(layers).total == sum(layer.total for layer in layers)
+    with pytest.raises(ParameterError, match="points are joined with points only, got 1"):
+        1 + points

@@ -137,3 +137,22 @@ def test_springs_know_what_moved_the_body_without_them():
     assert face.mean_displacement()[1] == pytest.approx(-0.01, rel=1e-3)
     bed = next(term for term in problem.form.terms if term.kind == "springs")
     assert bed.energy()[0] == pytest.approx(0.5 * K * 0.5 * 0.01**2, rel=1e-3)
+
+
+def test_a_face_that_leaves_the_grid_is_at_its_side():
+    """It had been half as far outside as it was at points of a row whose domain was longer."""
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.75, 0.75)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    load = fem.Constant(grid, (0.0, 0.0))
+    face = mpm.Surface(points, lambda x: x[1] < 0.1, (0, -1))
+    F = mpm.momentum(mpm.materials.Hencky(E=100.0, nu=0.0), points, u, v)
+    F += mpm.springs(face, u, v, stiffness=K) - ufl.inner(load, v) * points.dX
+    problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left"), stabilisation="ghost")
+    for load.value[1] in (-1.0, -2.0, -3.0):
+        problem.step()
+    assert face.mean_displacement()[1] < -0.04
+    y = np.round(points["x0"][:, 1], 6)
+    for row in np.unique(y):
+        assert np.ptp(points["stress"][y == row, 1, 1]) < 5e-3 * WEIGHT
