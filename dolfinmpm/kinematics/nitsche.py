@@ -292,8 +292,8 @@ def dirichlet(
     )  # fmt: skip
     if condition.local:
         markers.add_field(TRACE, (), "Pa/m")
-        for name in ("x", "cell", "body"):
-            markers.add_field(f"{TRACE}_{name}", (d,), "m")
+        for name, shape in (("x", (d,)), ("cell", (d,)), ("body", (d,)), ("points", ())):
+            markers.add_field(f"{TRACE}_{name}", shape)
     return condition_form(condition, term, "the condition (mpm.dirichlet)")
 
 

@@ -163,7 +163,7 @@ class BoundaryTerm(Term):
                 found = trace_constants(here, k, self.boundary, moduli(), at)
                 markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
                 markers[f"{TRACE}_cell"] = _middles(self.boundary, first)
-                markers[f"{TRACE}_body"] = markers[_body(markers)]
+                _note_body(markers, self.boundary.points.total)
             for condition in local:
                 of_law = condition.declaration.rows
                 k = 2.0 * markers[TRACE][of_law]
@@ -366,6 +366,12 @@ def _body(markers: MaterialPoints) -> str:
     return "body_x" if "body_x" in markers.fields else "x"
 
 
+def _note_body(markers: MaterialPoints, count: int) -> None:
+    """Keep where the body of a number of points is, for `_stays`."""
+    markers[f"{TRACE}_body"] = markers[_body(markers)]
+    markers[f"{TRACE}_points"] = count
+
+
 def _stays(boundary: Boundary, rows: npt.NDArray[np.integer], field: ActiveField) -> bool:
     """Whether markers are in the cells of their kept constants; they and the body moved little."""
     markers = boundary.markers
@@ -373,6 +379,10 @@ def _stays(boundary: Boundary, rows: npt.NDArray[np.integer], field: ActiveField
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
     other = np.abs(_middles(boundary, field) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
     body = np.abs(markers[_body(markers)] - markers[f"{TRACE}_body"])[rows].max(initial=0.0)
+    if not (markers[f"{TRACE}_points"] == boundary.points.total).all():
+        # faces beside ground that was taken away have other points next to them, and keep constants
+        body = 0.0
+        _note_body(markers, boundary.points.total)
     known = bool((markers[TRACE][rows] > 0).all())
     same = known and way < _STILL * h and other < 1e-6 * h and body < _PASSED * h
     return bool(markers.comm.allreduce(same, op=MPI.LAND))
