@@ -81,7 +81,7 @@ def test_leaves(basis):
     assert i == k
 
 
-@pytest.mark.parametrize("scheme", ["musl", "usl"])
+@pytest.mark.parametrize("scheme", ["musl", pytest.param("usl", marks=pytest.mark.long)])
 def test_explicit_steps(scheme):
     check(*(thrown(origin, "gimp", scheme) for origin in (MAP, (0.0, 0.0))))
 
