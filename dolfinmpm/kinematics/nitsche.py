@@ -65,7 +65,7 @@ from dolfinmpm.materials.neohookean import NeoHookean
 __all__ = ["METHODS", "TRACE", "WeakCondition", "dirichlet", "refuse_within"]
 
 # Name of the markers' field of the constants of their cells (Pa/m), 0 if not known. The fields with
-# _x, _cell, _body behind it are positions of marker, cell and nearest point at that time.
+# _x, _cell, _body are places of marker, cell, nearest point then; _points the number of points.
 TRACE = "trace_constant"
 
 METHODS = ("nitsche", "skew", "penalty")

@@ -373,7 +373,7 @@ def _note_body(markers: MaterialPoints, count: int) -> None:
 
 
 def _stays(boundary: Boundary, rows: npt.NDArray[np.integer], field: ActiveField) -> bool:
-    """Whether markers are in the cells of their kept constants; they and the body moved little."""
+    """Whether markers stay in cells of known constants; notes the body if points came or went."""
     markers = boundary.markers
     h = field.space.finest_cell
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)

@@ -20,7 +20,6 @@ from dolfinmpm._platform.errors import (
     FormError,
     IdleConditionWarning,
     ParameterError,
-    WideComparisonWarning,
 )
 from dolfinmpm.study import observed_orders, overall_order
 
@@ -108,24 +107,6 @@ def test_shear_waves_are_the_slower_ones():
     mpm.absorbing(V, "left", density=2e3, p_speed=3000.0, s_speed=1500.0)
     # of shear alone
     mpm.absorbing(V, "left", density=2e3, p_speed=0.0, s_speed=1500.0)
-
-
-def test_a_comparison_of_map_coordinates_as_wide_as_the_body():
-    """All nodes had been held, so that the stress of the body was zero."""
-    y0, kind = 5e6, mesh.CellType.quadrilateral
-    grid = mesh.create_rectangle(COMM, [(0, y0), (2, y0 + 2)], (4, 4), kind)
-    V = mpm.Space(grid)
-    with pytest.warns(
-        WideComparisonWarning, match=r"tolerance of 50 m at x\[1\] = 5000002 m, 1e-5"
-    ):
-        mpm.prescribed(V, lambda x: np.isclose(x[1], y0), 1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        mpm.prescribed(V, lambda x: np.isclose(x[1], y0, rtol=0.0, atol=1e-6), 1)
-        mpm.prescribed(V, lambda x: x[1] < y0 + 1.1, 1)
-        # two sides at once, near the origin
-        V = mpm.Space(grid_of())
-        mpm.prescribed(V, lambda x: np.isclose(x[1], 0.0) | np.isclose(x[0], 0.0), 1)
 
 
 # -- lists ---------------------------------------------------------------------------

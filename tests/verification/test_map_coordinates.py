@@ -6,6 +6,8 @@ had made cells, nodes and leaves active, and had decided which cells are well fi
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import ufl
@@ -13,6 +15,7 @@ from conftest import COMM
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import WideComparisonWarning
 from dolfinmpm.grid.lattice import lattice_of
 
 H, MAP = 0.1, (5e5, 5e6)
@@ -128,3 +131,22 @@ def pressed(origin, basis):
 def test_faces_under_pressure(basis):
     """A face off the end of its domain by rounding had ended in forces that are not finite."""
     check(*(pressed(origin, basis) for origin in (MAP, (0.0, 0.0))))
+
+
+def test_a_comparison_of_map_coordinates_as_wide_as_the_body():
+    """All nodes had been held, so that the stress of the body was zero."""
+    y0, kind = 5e6, mesh.CellType.quadrilateral
+    grid = mesh.create_rectangle(COMM, [(0, y0), (2, y0 + 2)], (4, 4), kind)
+    V = mpm.Space(grid)
+    with pytest.warns(
+        WideComparisonWarning, match=r"tolerance of 50 m at x\[1\] = 5000002 m, 1e-5"
+    ):
+        mpm.prescribed(V, lambda x: np.isclose(x[1], y0), 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mpm.prescribed(V, lambda x: np.isclose(x[1], y0, rtol=0.0, atol=1e-6), 1)
+        mpm.prescribed(V, lambda x: x[1] < y0 + 1.1, 1)
+        # two sides at once, near the origin
+        near = mesh.create_rectangle(COMM, [(0, 0), (2, 2)], (4, 4), kind)
+        V = mpm.Space(near)
+        mpm.prescribed(V, lambda x: np.isclose(x[1], 0.0) | np.isclose(x[0], 0.0), 1)
