@@ -45,14 +45,12 @@ inf_sup --places 3 --uncut 4 --pairs nested,linear-linear-projected --stabilisat
 mandel --cells 8 --steps 20
 footing_3d --cells 6 --steps 1
 coupled_slope --law cam-clay --h 1 --steps 10
-your_own_law
 vibrating_bar --duration 5
 colliding_discs --h 0.1
 stability_atlas --first 40 --stabilisation ghost,aggregation --strict
 column_collapse --h 0.04 --duration 0.1 --times 0.05
 slope_runout --h 1 --duration 0.3 --dt 0.05
 explicit_speed --points 4000 --repeat 1 --bases bspline2,gimp
-explicit_stability --methods "GIMP, musl;GIMP, consistent + ghost" --cells 1 --places 3 --long 100
 """
 
 

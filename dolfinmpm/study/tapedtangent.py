@@ -333,21 +333,6 @@ class TapedTangent:
             self.corrections[pair] = count, converged
         return x, converged
 
-    def _again(
-        self, operator: Operator, x: Array, kept: Array, count: int, converged: bool
-    ) -> tuple[Array, bool]:
-        """Correct unknowns as often as those of the first run of a pair. Collective.
-
-        Args:
-            operator, x, kept: See `follow`.
-            count: Number of corrections.
-            converged: Whether little enough remained.
-        """
-        for _ in range(count):
-            rest = self._unbalanced(operator, x, kept)
-            x = x - self._solve(operator, rest, 0.1 * DIGITS)
-        return x, converged
-
     def _unbalanced(self, operator: Operator, x: Array, kept: Array) -> Array:
         """Out-of-balance force at some unknowns without that of the solution (N). Collective."""
         self.last = x

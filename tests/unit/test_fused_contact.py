@@ -83,7 +83,8 @@ def test_a_wedge_is_dragged_through_clay():
     assert np.abs(problem.points[contact.names.tangential_force]).max() > 0
 
 
-@pytest.mark.parametrize("free", [False, pytest.param(True, marks=LONG)])
+@pytest.mark.long
+@pytest.mark.parametrize("free", [False, True])
 def test_a_box_is_pressed_into_a_block(free):
     alike(is_pressed, 0.05, free=free, courant=0.4)
 

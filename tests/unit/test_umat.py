@@ -88,9 +88,9 @@ def test_a_column_is_that_of_the_built_in_law(kind):
 @pytest.mark.parametrize(
     ("d", "scheme", "strain"),
     [
-        pytest.param(2, "usl", "jaumann", marks=pytest.mark.long),
+        (2, "usl", "jaumann"),
         pytest.param(2, "usf", "small", marks=pytest.mark.long),
-        (3, "musl", "jaumann"),
+        pytest.param(3, "musl", "jaumann", marks=pytest.mark.long),
     ],
 )
 def test_fused_steps_are_the_general_ones(d, scheme, strain, tmp_path):

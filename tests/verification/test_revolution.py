@@ -209,7 +209,8 @@ def rotating(points):
         (mpm.Newmark, "bspline2", {"mass": "lumped"}, 2e-3),
         (mpm.GeneralisedAlpha, "linear", {}, 2e-3),
         (mpm.Explicit, "gimp", {"scheme": "musl"}, 1e-3),
-        (mpm.Explicit, "bspline2", {"mapping": "apic"}, 1e-3),
+        # a loop of its own takes seconds to compile
+        pytest.param(mpm.Explicit, "bspline2", {"mapping": "apic"}, 1e-3, marks=pytest.mark.long),
         (mpm.Explicit, "gimp", {"mass": "consistent", "bulk_viscosity": (0.06, 1.2)}, 3e-3),
     ],
 )
