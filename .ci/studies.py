@@ -44,6 +44,7 @@ consolidation --pair nested --h 0.125 --steps 10
 inf_sup --places 3 --uncut 4 --pairs nested,linear-linear-projected --stabilisations none,ghost
 mandel --cells 8 --steps 20
 footing_3d --cells 6 --steps 1
+coupled_slope --law cam-clay --h 1 --steps 10
 vibrating_bar --duration 5
 colliding_discs --h 0.1
 stability_atlas --first 40 --stabilisation ghost,aggregation --strict

@@ -205,8 +205,7 @@ def dirichlet(
         direction: None prescribes all components. "normal" prescribes the component along the
             normal of the boundary at the start of the step, as rollers at any angle and planes of
             symmetry do. A vector prescribes the component along this vector.
-        strain, tag: As for `momentum`. The condition acts at markers whose nearest point has
-            the tag.
+        strain, tag: As for `momentum`. The condition acts where the nearest point has the tag.
         penalty: k in units of M/h: M is the P-wave modulus of the law's elasticity, h the size of
             the largest cell. The default of "nitsche" follows from an eigenproblem around each
             cell, and is at least 20 with F-bar. That of "skew" is 1. Both are at least 1000 in
@@ -292,8 +291,9 @@ def dirichlet(
     )  # fmt: skip
     if condition.local:
         markers.add_field(TRACE, (), "Pa/m")
-        for name, shape in (("x", (d,)), ("cell", (d,)), ("body", (d,)), ("points", ())):
-            markers.add_field(f"{TRACE}_{name}", shape)
+        markers.add_field(f"{TRACE}_points", ())
+        for name in ("x", "cell", "body"):
+            markers.add_field(f"{TRACE}_{name}", (d,), "m")
     return condition_form(condition, term, "the condition (mpm.dirichlet)")
 
 

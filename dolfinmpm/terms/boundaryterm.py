@@ -156,6 +156,10 @@ class BoundaryTerm(Term):
             local = [c for c in self.conditions if c.local and c.declaration.u is u]
             if not local:
                 continue
+            if not (markers[f"{TRACE}_points"] == self.boundary.points.total).all():
+                # faces beside ground that was taken away have other points next to them: they keep
+                # their constants, and the way of the body begins anew
+                _note_body(markers, self.boundary.points.total)
             if not (stabilised and len(fields) == 1 and _stays(self.boundary, rows, first)):
                 at = np.zeros((len(markers), 2))
                 for one in self.declarations:
@@ -373,16 +377,12 @@ def _note_body(markers: MaterialPoints, count: int) -> None:
 
 
 def _stays(boundary: Boundary, rows: npt.NDArray[np.integer], field: ActiveField) -> bool:
-    """Whether markers stay in cells of known constants; notes the body if points came or went."""
+    """Whether markers are in the cells of their known constants; they and the body moved little."""
     markers = boundary.markers
     h = field.space.finest_cell
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
     other = np.abs(_middles(boundary, field) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
     body = np.abs(markers[_body(markers)] - markers[f"{TRACE}_body"])[rows].max(initial=0.0)
-    if not (markers[f"{TRACE}_points"] == boundary.points.total).all():
-        # faces beside ground that was taken away have other points next to them, and keep constants
-        body = 0.0
-        _note_body(markers, boundary.points.total)
     known = bool((markers[TRACE][rows] > 0).all())
     same = known and way < _STILL * h and other < 1e-6 * h and body < _PASSED * h
     return bool(markers.comm.allreduce(same, op=MPI.LAND))
