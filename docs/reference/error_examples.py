@@ -190,6 +190,14 @@ def OverlapWarning():
     mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "top")).step()
 
 
+def SmallBodyWarning():
+    points, V = block()
+    F = mpm.momentum(SOIL, points, V.increment, V.test)
+    needle = mpm.RigidBody(mpm.Disc((0.5, 1.001), 0.001), increment=(0, -1e-4))
+    F += mpm.contact(needle, points, V.increment, V.test)
+    mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+
+
 def RoughShapeWarning():
     grid = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4, mesh.CellType.quadrilateral)
     mpm.fill(grid, mpm.Ball((0.5, 0.5), 0.26), per_cell=1, density=1.0)

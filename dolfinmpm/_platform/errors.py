@@ -46,6 +46,7 @@ __all__ = [
     "RoughShapeWarning",
     "ShapeOutsideGridError",
     "SingularMassWarning",
+    "SmallBodyWarning",
     "SoftVolumeWarning",
     "StateError",
     "UndeterminedFieldError",
@@ -201,6 +202,10 @@ class SingularMassWarning(DolfinMPMWarning):
 
 class OverlapWarning(DolfinMPMWarning):
     """Corners of points begin deep within a rigid body, which pushes them out."""
+
+
+class SmallBodyWarning(DolfinMPMWarning):
+    """A rigid body is smaller than the points' domains, and passes between their corners."""
 
 
 class RoughShapeWarning(DolfinMPMWarning):

@@ -71,7 +71,7 @@ def at_corners(points: MaterialPoints, name: str) -> bool:
     field = points.symbols.fields.get(name)
     if field is None or field.ufl_shape[:1] != (2**points.gdim,):
         return False
-    return field.unit in ("N", "N/m", "m")
+    return field.unit in ("N", "N/m", "m", "m^(d-1)")
 
 
 def children(points: MaterialPoints, rows: Rows) -> Children:

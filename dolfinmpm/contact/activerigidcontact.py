@@ -17,15 +17,17 @@ from dolfinmpm.contact.contactlaw import FREE, SLIPS, contact_forces, explicit_r
 from dolfinmpm.contact.contactpairs import TOUCHES
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
 from dolfinmpm.contact.contactstencils import add_tangent
-from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, DisplacementBasis, Rows, Which
+from dolfinmpm.contact.contactwarnings import warn_at_start
+from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, Rows, Which
+from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.heldcorners import HeldCorners, growth_of, overlap_of
 from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
+from dolfinmpm.contact.sharedsurface import areas_at_end, areas_at_start
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.tunnelling import (
     candidates,
     passed_through,
     unlisted_entered,
-    warn_of_overlap,
 )
 
 if TYPE_CHECKING:
@@ -91,7 +93,7 @@ class ActiveRigidContact(ActiveContact):
         self.start = self._at_start(displacement.growth is not None)
         self._explicit = mean_weights is None and displacement.growth is not None
         if contact.body.time == 0.0 and not contact.begun:
-            warn_of_overlap(self)
+            warn_at_start(self)
 
     def _near_corners(self, x: Array, distance: float) -> Which:
         """Choose the corners near the body, and keep the surface's values at these corners.
@@ -118,8 +120,7 @@ class ActiveRigidContact(ActiveContact):
         normal_force = points[names.normal_force][own]
         normal = contact.body.start.directions(self._probe[1])
         areas = self.layout.areas(c, normal)
-        bounded = contact.law.shear_limit is not None
-        slipping = self.layout.areas(c, normal, self._probe[0]) if bounded else areas
+        slipping = areas_at_start(self, normal, self._probe[0]) if contact.shares_surface else areas
         k = contact.stiffness_at(c.rows) * areas
         if in_time:
             # the stiffness of a touching corner must not change with the normal: the stored
@@ -326,20 +327,22 @@ class ActiveRigidContact(ActiveContact):
         return both[:d], both[d:]
 
     def update(self, new: NewState) -> None:
-        """See `ActiveTerm`."""
+        """See `ActiveTerm`. Collective."""
         points, c = self.contact.points, self.corners
         for name, values in self.end_state():
             new.fields[name] = np.zeros_like(points[name])
             new.fields[name][c.rows, c.which] = values
 
     def end_state(self) -> list[tuple[str, Array]]:
-        """State of the corners at the end of the step: names of the points' fields, and values."""
+        """State of the corners at the end of the step: names of fields, and values. Collective."""
         names, now = self.contact.names, self.now
+        shared = self.contact.shares_surface
         return [
             (names.tangential_force, now.tangential),
             (names.normal_force, now.normal),
             (names.stiffness, np.where(now.normal > 0.0, self.start.stiffness, 0.0)),
             (names.closing, now.closed),
+            *([(names.slip_area, areas_at_end(self))] if shared else ()),
             *(self.held.at_end(names, now) if self.held else ()),
         ]
 

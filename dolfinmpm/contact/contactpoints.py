@@ -29,6 +29,8 @@ class CornerFields(NamedTuple):
         stiffness: Stiffness of touching corners (N/m).
         closing: Closing of the gaps of the corners in the last step (m).
         overlap: Overlap of the corners that fixed nodes leave (m), see `HeldCorners`.
+        slip_area: Areas of touching corners for a limit of the shear stress (m^(d-1)), see
+            `dolfinmpm.contact.sharedsurface`. Only with such a limit.
     """
 
     tangential_force: str
@@ -37,6 +39,7 @@ class CornerFields(NamedTuple):
     stiffness: str
     closing: str
     overlap: str
+    slip_area: str
 
 
 class MarkerFields(NamedTuple):

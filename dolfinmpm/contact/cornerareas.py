@@ -2,6 +2,8 @@
 
 A penalty finds the penetration that balances the stress of the body, whatever the areas of the
 corners are. A limit of the shear stress acts on the areas themselves: they must fill the surface.
+Corners that begin to touch have the parts of the surface below; those that touched in the last step
+share the surface between them, see `dolfinmpm.contact.sharedsurface`.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["face_areas", "places_on_faces", "slip_areas"]
+__all__ = ["face_areas", "part_areas", "places_on_faces", "slip_parts"]
 
 Array = npt.NDArray[np.float64]
 
@@ -32,8 +34,10 @@ def face_areas(half: Array, normal: Array) -> Array:
     return np.asarray(np.sum(np.abs(normal) * faces, axis=1))
 
 
-def slip_areas(half: Array, normal: Array, signs: Array, ahead: Array, gap: Array) -> Array:
-    """Areas by which corners share the rigid surface (m^(d-1)), shape (m,).
+def slip_parts(
+    edges: Array, normal: Array, signs: Array, at: Array, gap: Array
+) -> tuple[Array, Array]:
+    """Parts of the rigid surface that corners cover.
 
     Beside an oblique surface points are stairs: one point of each column touches it, along the axis
     on which domains reach furthest towards it. The face A_i of this point covers the part A_i/|n_i|
@@ -41,22 +45,42 @@ def slip_areas(half: Array, normal: Array, signs: Array, ahead: Array, gap: Arra
     it is behind another one, and nothing if it is behind by more than the other one is inside.
 
     Args:
-        half, normal: See `face_areas`.
+        edges: Half edges of the domains, as columns (m), shape (m, d, d).
+        normal: Normal of the rigid surface, shape (m, d).
         signs: Place of each corner in its domain, ±1, shape (m, d).
-        ahead: Differences of the gaps of neighbouring corners in each direction (m), shape (m, d).
-        gap: Gaps of the corners (m), shape (m,).
+        at: Distances of the contact points from the middle of their domain, by half edges, shape
+            (m, d): 1 at a corner.
+        gap: Gaps of the contact points (m), shape (m,).
+
+    Returns:
+        Middles of the parts from the contact points (m), shape (m, d); half edges of the parts,
+        as rows (m), shape (m, d-1, d).
     """
-    each, size = np.arange(len(half)), np.abs(normal)
-    main = np.argmax(size * half, axis=1)
-    area = np.prod(2.0 * half, axis=1) / (2.0 * half * size)[each, main]
-    leads = signs * normal < 0.0
+    each, d = np.arange(len(edges)), edges.shape[2]
+    towards = np.einsum("mi,mij->mj", normal, edges)
+    main = np.argmax(np.abs(towards), axis=1)
+    leads = signs * towards < 0.0
+    ahead = 2.0 * np.abs(towards) * at
     behind = np.where(leads, 0.0, ahead)
     behind[each, main] = 0.0
-    inside = np.maximum(np.sum(behind, axis=1) - gap, _MEETS * half.max(axis=1, initial=0.0))
-    part = np.minimum(ahead / inside[:, None], 1.0)
-    share = 0.5 + np.where(leads, 0.5, -0.5) * part
-    share[each, main] = 1.0
-    return np.asarray(area * np.prod(share, axis=1))
+    least = _MEETS * np.linalg.norm(edges, axis=1).max(axis=1, initial=0.0)
+    inside = np.maximum(np.sum(behind, axis=1) - gap, least)
+    share = 0.5 + np.where(leads, 0.5, -0.5) * np.minimum(ahead / inside[:, None], 1.0)
+    # edges along the surface: they meet it on lines in the direction of the main edge
+    along = (
+        edges - (towards / towards[each, main][:, None])[:, None] * edges[each, :, main][:, :, None]
+    )
+    along = np.swapaxes(along, 1, 2)
+    middle = np.einsum("mj,mji->mi", signs * (1.0 - share - at), along)
+    others = np.array([np.delete(np.arange(d), k) for k in range(d)])[main]
+    parts = share[:, :, None] * along
+    return middle, np.take_along_axis(parts, others[:, :, None], axis=1)
+
+
+def part_areas(parts: Array) -> Array:
+    """Areas of parts of a surface with these half edges (m^(d-1)), shape (m,); see `slip_parts`."""
+    square = np.einsum("mai,mbi->mab", parts, parts)
+    return np.asarray(2.0 ** parts.shape[1] * np.sqrt(np.maximum(np.linalg.det(square), 0.0)))
 
 
 def places_on_faces(normal: Array) -> Array:

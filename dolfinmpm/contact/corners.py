@@ -33,16 +33,16 @@ import scipy
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.facestencils import in_domains
 from dolfinmpm.basis.gimp import update_domains
-from dolfinmpm.basis.stencils import Stencils, selected, stencil_matrix
+from dolfinmpm.basis.stencils import stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.familyids import side_signs
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradient
-from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_areas
-from dolfinmpm.cut.activation import ActiveField, Basis
+from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_parts
+from dolfinmpm.contact.displacementbasis import DisplacementBasis
 
-__all__ = ["ALL", "CornerLayout", "Corners", "DisplacementBasis", "corner_count", "longest"]
+__all__ = ["ALL", "CornerLayout", "Corners", "corner_count", "longest"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
@@ -75,57 +75,6 @@ class Corners:
     which: Rows
     x: Array
     stencils: ContactStencils
-
-
-@dataclass(frozen=True)
-class DisplacementBasis:
-    """The basis functions of a displacement for corners.
-
-    Attributes:
-        basis: Basis of the displacement.
-        total: Whether stencils are those at initial positions.
-        C: Prolongation from the independent nodes to all nodes, or None.
-        stencils: Function from rows of points to their stencils, with points numbered from 0.
-        place: Row of each node of the basis in nodal forces, shape (nodes,); None for the same
-            numbering.
-        growth: Growth of domains, in steps in time, where corners move with the states of their
-            points. None where corners move with the functions at the corners.
-        domains: Growth of domains in other steps.
-    """
-
-    basis: Basis
-    total: bool
-    C: scipy.sparse.csr_matrix | None
-    stencils: Callable[[Rows], Stencils]
-    place: npt.NDArray[np.int32] | None = None
-    growth: str | None = None
-    domains: str = "stretch"
-
-    @property
-    def columns(self) -> int:
-        """Number of the independent nodes."""
-        return self.basis.nodes.size if self.C is None else self.C.shape[1]
-
-    @staticmethod
-    def of(field: ActiveField, total: bool, count: int, in_time: bool = False) -> DisplacementBasis:
-        """The basis functions of an active field.
-
-        Args:
-            field: The field.
-            total: See the attribute.
-            count: Number of material points.
-            in_time: Whether steps are in time.
-        """
-
-        def stencils(rows: Rows) -> Stencils:
-            chosen = np.zeros(count, bool)
-            chosen[rows] = True
-            s = selected(field.stencils, chosen)
-            return replace(s, order=np.searchsorted(rows, s.order).astype(np.int32))
-
-        rule = field.space.domains
-        growth = rule if in_time else None
-        return DisplacementBasis(field.basis, total, field.C, stencils, growth=growth, domains=rule)
 
 
 class CornerLayout:
@@ -184,39 +133,53 @@ class CornerLayout:
             return None
         return np.any(self._points[self._surface.area.name][rows] != 0.0, axis=1)
 
-    def areas(self, corners: Corners, normal: Array, gap: Array | None = None) -> Array:
+    def areas(self, corners: Corners, normal: Array) -> Array:
         """Area of the body's face per corner (m^(d-1)), shape (m,); see `cornerareas`.
 
         Corners of a marked face share its initial area, other corners those of their domain's
-        initial faces, or of the rigid surface if gaps are given. In axisymmetric problems the area
-        is that all around. That of a face is at the radius of the point, like the volume: then a
-        uniform pressure balances a uniform stress. That of the rigid surface is at the corner.
+        initial faces. In axisymmetric problems the area is that all around, at the radius of the
+        point, like the volume: then a uniform pressure balances a uniform stress.
 
         Args:
             corners: The corners.
             normal: Normal of the rigid surface at each corner, shape (m, gdim).
-            gap: Gaps of the corners (m), shape (m,), for a limit of the shear stress.
         """
         points, rows = self._points, corners.rows
         if self._surface is not None:
             area = np.linalg.norm(points[self._surface.area.name][rows], axis=1)
             return np.asarray(area / self.which.size)
-        half = points["l0"][rows]
-        along = normal
         if not (self.boxes or self._keeps_axes):
-            # the normal in the frame of the material
-            along = np.einsum("pij,pi->pj", self._F[rows], normal)
-            normal = along / np.linalg.norm(along, axis=1)[:, None]
-        if gap is None:
-            areas = face_areas(half, normal)
+            normal = self._in_material(rows, normal)
+            normal = normal / np.linalg.norm(normal, axis=1)[:, None]
+        areas = face_areas(points["l0"][rows], normal)
+        return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
+
+    def surface_parts(
+        self, rows: Rows, which: Rows, normal: Array, gap: Array
+    ) -> tuple[Array, Array]:
+        """Parts of the rigid surface that corners cover; see `slip_parts`. Not of marked faces.
+
+        Args:
+            rows, which: Point of each corner, and number at its point, shape (m,).
+            normal: Normal of the rigid surface at each corner, shape (m, gdim).
+            gap: Gaps of the corners (m), shape (m,).
+        """
+        points = self._points
+        along, axes = normal, np.eye(points.gdim)[None]
+        if self.boxes:
+            half = points["l"][rows]
+        elif self._keeps_axes:
+            half = update_domains(self._F[rows], points["l0"][rows], self._displacement.domains)
         else:
-            ahead = 2.0 * np.abs(along) * (points["l"][rows] if self.boxes else half)
-            ahead *= places_on_faces(along) if self.on_faces else 1.0
-            areas = slip_areas(half, normal, side_signs(points.gdim)[corners.which], ahead, gap)
-        if not points.axisymmetric:
-            return areas
-        radius = points["x"][rows, 0] if gap is None else np.maximum(corners.x[:, 0], 0.0)
-        return ring(radius, areas)
+            half, axes = points["l0"][rows], self._F[rows]
+            along = self._in_material(rows, normal)
+        at = places_on_faces(along) if self.on_faces else np.ones_like(half)
+        signs = side_signs(points.gdim)[which]
+        return slip_parts(axes * half[:, None, :], normal, signs, at, gap)
+
+    def _in_material(self, rows: Rows, normal: Array) -> Array:
+        """Normals in the frame of the points' material, of any length."""
+        return np.asarray(np.einsum("pij,pi->pj", self._F[rows], normal))
 
     def corners(
         self, rows: Rows, kept: Callable[[Array], Which], normals: Callable[[], Array]
@@ -266,7 +229,7 @@ class CornerLayout:
         if self._surface is not None:
             normal = np.broadcast_to(self._surface.normal, normal.shape)
         elif not self.boxes:
-            normal = np.einsum("pij,pi->pj", self._F[each], normal)
+            normal = self._in_material(each, normal)
         share = places_on_faces(normal)
         R = side_signs(points.gdim)[which] * share
         x, half = points["x"][each], points["l"][each]

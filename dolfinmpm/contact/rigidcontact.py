@@ -31,7 +31,8 @@ from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpoints import CornerFields
-from dolfinmpm.contact.corners import DisplacementBasis, corner_count
+from dolfinmpm.contact.corners import corner_count
+from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.heldcorners import HeldCorners, held_components
 from dolfinmpm.contact.meanforces import MeanForceWeights, normal_energy, slip_energy
 from dolfinmpm.contact.rigidbody import RigidBody
@@ -100,6 +101,11 @@ class RigidContact(Term):
         return not self.law.friction
 
     @property
+    def shares_surface(self) -> bool:
+        """Whether corners share the rigid surface, for a limit of the shear stress."""
+        return self.law.shear_limit is not None and self.surface is None
+
+    @property
     def fusable(self) -> bool:  # type: ignore[override]
         """See `Term`: fused steps know no water."""
         return not self.wet
@@ -134,6 +140,8 @@ class RigidContact(Term):
         points.add_field(names.stiffness, (count,), "N/m")
         points.add_field(names.closing, (count,), "m")
         points.add_field(names.overlap, (count,), "m")
+        if self.shares_surface:
+            points.add_field(names.slip_area, (count,), "m^(d-1)")
         if self.law.stiffness is not None:
             return
         points.add_field(names.modulus, (), "Pa")

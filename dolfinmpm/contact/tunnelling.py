@@ -13,14 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import (
-    IdleConditionWarning,
-    OverlapWarning,
-    ParameterError,
-    raise_together,
-    warn,
-)
-from dolfinmpm.body.location import bounds
+from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.contact.bodymotion import Pose
 from dolfinmpm.contact.corners import ALL, CornerLayout, Rows, Which, longest
 from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
@@ -40,7 +33,6 @@ __all__ = [
     "too_far",
     "travelled",
     "unlisted_entered",
-    "warn_of_overlap",
     "within",
 ]
 
@@ -54,9 +46,6 @@ _STRIDE, _THROUGH = 0.25, 0.25
 # longer than half the thickness. Faces at an edge of 45° or more are neighbours. At any depth a
 # corner may come from one to the other, and smaller steps do not change this.
 _OPPOSITE, _AROUND = -math.sqrt(0.5), -1e-6
-# Depth within a body at the start that is told, over the distance of a point from its corners.
-# Points that are filled beside a round body have corners within it, most of them less deep.
-_OVERLAP = 0.5
 # Largest number of steps along a path
 _MOST = 10_000
 # Mask of the upper coordinates of the corners of a box, by dimension
@@ -280,49 +269,6 @@ def candidates(
         raise_together(points.comm, error)
     chosen = chosen[gap < reach[chosen]]
     return chosen if listed is None else listed[chosen]
-
-
-def warn_of_overlap(active: Any) -> None:
-    """Warn where corners of points begin within the body, once for a contact. Collective.
-
-    Args:
-        active: The contact in the first step of its body.
-    """
-    contact, layout = active.contact, active.layout
-    contact.begun = True
-    _warn_of_distance(contact)
-    gap, rows = active.start.gap, active.corners.rows
-    deep = gap < -_OVERLAP * layout.reach(rows)
-    found = np.array([-gap[deep].min(initial=0.0), np.unique(rows[deep]).size])
-    largest = contact.points.comm.allreduce(found[0], op=MPI.MAX)
-    count = contact.points.comm.allreduce(int(found[1]), op=MPI.SUM)
-    if count:
-        warn(
-            contact.points.comm,
-            f"corners of {count} points begin within '{contact.body.name}', by up to "
-            f"{largest:.3g} m: the contact pushes them out from the first step on. Fill the body "
-            "beside it, or move the rigid body by that much",
-            OverlapWarning,
-        )
-
-
-# Distance of a body from the grid, in lengths of the grid, that a wrong unit makes: mm are 1000
-_FAR = 30.0
-
-
-def _warn_of_distance(contact: RigidContact) -> None:
-    """Warn of a body that begins so far from the grid that its unit of length is another one."""
-    body, (low, high) = contact.body, bounds(contact.points.grid)
-    at = body.start.shift
-    gaps = np.maximum(body.surface.low + at - high, low - body.surface.high - at)
-    distance, length = float(np.linalg.norm(np.maximum(gaps, 0.0))), float((high - low).max())
-    if distance > _FAR * length:
-        warn(
-            contact.points.comm,
-            f"'{body.name}' begins {distance:.4g} m outside the grid, which is {length:.4g} m "
-            "long, and touches nothing there: check its place, and the unit of its lengths (m)",
-            IdleConditionWarning,
-        )
 
 
 def unlisted_entered(active: Any, x: Array, before: Array | None = None) -> bool:

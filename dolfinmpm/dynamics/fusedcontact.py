@@ -18,7 +18,8 @@ from dolfinmpm._platform import stages
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
-from dolfinmpm.contact.corners import CornerLayout, DisplacementBasis, Rows, longest
+from dolfinmpm.contact.corners import CornerLayout, Rows, longest
+from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.heldcorners import HeldCorners, held_components
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact

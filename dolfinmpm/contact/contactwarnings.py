@@ -1,0 +1,96 @@
+"""Warnings before the first step of a contact with a rigid body."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import (
+    IdleConditionWarning,
+    OverlapWarning,
+    SmallBodyWarning,
+    warn,
+)
+from dolfinmpm.body.location import bounds
+
+if TYPE_CHECKING:
+    from dolfinmpm.contact.rigidcontact import RigidContact
+
+__all__ = ["warn_at_start"]
+
+Array = npt.NDArray[np.float64]
+
+# Depth within a body at the start that is told, over the distance of a point from its corners.
+# Points that are filled beside a round body have corners within it, most of them less deep.
+_OVERLAP = 0.5
+# Distance of a body from the grid, in lengths of the grid, that a wrong unit makes: mm are 1000
+_FAR = 30.0
+# Part of a width that is rounding
+_ROUNDING = 1e-9
+
+
+def warn_at_start(active: Any) -> None:
+    """Warn of a body that begins far away, is too small, or overlaps corners. Collective.
+
+    Args:
+        active: The contact in the first step of its body.
+    """
+    active.contact.begun = True
+    _warn_of_distance(active.contact)
+    _warn_of_size(active.contact)
+    _warn_of_overlap(active)
+
+
+def _warn_of_overlap(active: Any) -> None:
+    """Warn where corners of points begin within the body. Collective."""
+    contact, layout = active.contact, active.layout
+    gap, rows = active.start.gap, active.corners.rows
+    deep = gap < -_OVERLAP * layout.reach(rows)
+    found = np.array([-gap[deep].min(initial=0.0), np.unique(rows[deep]).size])
+    largest = contact.points.comm.allreduce(found[0], op=MPI.MAX)
+    count = contact.points.comm.allreduce(int(found[1]), op=MPI.SUM)
+    if count:
+        warn(
+            contact.points.comm,
+            f"corners of {count} points begin within '{contact.body.name}', by up to "
+            f"{largest:.3g} m: the contact pushes them out from the first step on. Fill the body "
+            "beside it, or move the rigid body by that much",
+            OverlapWarning,
+        )
+
+
+def _warn_of_distance(contact: RigidContact) -> None:
+    """Warn of a body that begins so far from the grid that its unit of length is another one."""
+    body, (low, high) = contact.body, bounds(contact.points.grid)
+    at = body.start.shift
+    gaps = np.maximum(body.surface.low + at - high, low - body.surface.high - at)
+    distance, length = float(np.linalg.norm(np.maximum(gaps, 0.0))), float((high - low).max())
+    if distance > _FAR * length:
+        warn(
+            contact.points.comm,
+            f"'{body.name}' begins {distance:.4g} m outside the grid, which is {length:.4g} m "
+            "long, and touches nothing there: check its place, and the unit of its lengths (m)",
+            IdleConditionWarning,
+        )
+
+
+def _warn_of_size(contact: RigidContact) -> None:
+    """Warn of a body that fits between the corners of a domain, as a needle does. Collective."""
+    body, points = contact.body, contact.points
+    sizes = np.sort(body.surface.high - body.surface.low)
+    # in the direction of a motion it may be long
+    width = float(sizes[1])
+    own = points["l0"] if contact.tags is None else points["l0"][contact.chosen()]
+    side = 2.0 * points.comm.allreduce(float(own.min(initial=math.inf)), op=MPI.MIN)
+    if width < (1.0 - _ROUNDING) * side < math.inf:
+        warn(
+            points.comm,
+            f"'{body.name}' is {width:.3g} m wide, and the domains of material points are "
+            f"{side:.3g} m wide: it passes between their corners. Take smaller cells, more points "
+            "per cell or a larger body",
+            SmallBodyWarning,
+        )
