@@ -29,11 +29,16 @@ from pathlib import Path
 from typing import Any
 
 import benchmark_rows
+import benchmark_rows_laws
 import benchmark_rows_soil
 import benchmark_rows_speed
 from benchmark_rows import Row
 
-ROWS = (*benchmark_rows.ROWS, *benchmark_rows_speed.ROWS, *benchmark_rows_soil.ROWS)
+ROWS = tuple(
+    row
+    for module in (benchmark_rows, benchmark_rows_speed, benchmark_rows_soil, benchmark_rows_laws)
+    for row in module.ROWS
+)
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
