@@ -290,7 +290,7 @@ class FusedSteps:
             )
             lines = self._basis.lattice.lines
             if not all(line[0] <= c <= line[-1] for c, line in zip(points["x"][bad], lines)):
-                found += "; it is outside: enlarge the grid, at a wall by a row of cells beyond it"
+                found += "; it is outside: enlarge the grid, or hold this side with mpm.rollers"
         if points.comm.size == 1:
             return found
         all_found = [text for text in points.comm.allgather(found) if text is not None]

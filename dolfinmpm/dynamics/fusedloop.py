@@ -69,6 +69,7 @@ from dolfinmpm.dynamics.smalltensors import (
     transform,
     turned,
 )
+from dolfinmpm.kinematics.heldsides import inside_sides
 from dolfinmpm.materials.lawkernel import call_law
 
 __all__ = ["kernel"]
@@ -124,7 +125,7 @@ def kernel(
     def run(
         grid, nodes, out, points, law, dt, share, record, advance, spread, rows, skipped, done
     ):  # fmt: skip
-        lines, places, uniform, origin, shape, first, last, fine = grid
+        lines, places, uniform, origin, shape, first, last, fine, held = grid
         X, half, half0, v, C, F, V, V0, m, state, internal, stress, acceleration = points[:13]
         tau_old, e_out, body = points[13:16]
         addresses, parameters, stride, which = law
@@ -382,7 +383,10 @@ def kernel(
                         keep(d, C, p, u, 1.0)
                     way = 0.0
                     for k in range(d):
-                        x[k] += dt * v_new[k]
+                        going = dt * v_new[k]
+                        if general and averaged:
+                            going = inside_sides(held, k, start[k], end[k], x[k], reach[k], going)
+                        x[k] += going
                         X[p, k] = x[k]
                         way = max(way, abs(v_new[k]) * fine[k] * dt)
                     # the others ask where they scatter

@@ -24,6 +24,7 @@ from dolfinmpm.dynamics.nodes import take_means
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.kinematics.heldsides import held_sides
 
 __all__ = ["MARGIN", "Exchange", "Prescribed", "Window", "WindowMeans"]
 
@@ -167,12 +168,26 @@ class Window:
             tuple(np.ascontiguousarray(greville(line, basis.degree)) for line in lattice.lines),
             lattice.uniform, halo.origin.astype(np.int64), self._shape, self._first, self._last,
             np.array([1.0 / np.diff(line).min() for line in lattice.lines]),
+            np.zeros((points.gdim, 2), np.bool_),
         )  # fmt: skip
         self.place = np.full(basis.nodes.size, -1)
         self.place[self._known] = self._at
         self._faces = sides.on(basis) or Faces((), basis, points.gdim)
         self.sides = self._faces.by_nodes(self.place, len(self.nodes))
         self.cells = CellFinder(basis)
+
+    def hold(self, fixed: npt.NDArray[np.bool_], velocities: Array) -> None:
+        """Tell the loops which sides of the grid do not move along their normals.
+
+        Args:
+            fixed, velocities: See `Prescribed`.
+        """
+        at, first = np.unravel_index(self._at, tuple(self._shape)), self.basis.halo.origin
+
+        def on(axis: int, end: int) -> Places:
+            return self._at[at[axis] + first[axis] == end * (self.grid[1][axis].size - 1)]
+
+        self.grid[-1][...] = held_sides(fixed, velocities, on)
 
     def exchange(self, width: int) -> Exchange | None:
         """Exchange of sums at the window's nodes between ranks; None on one rank. Collective.
@@ -326,6 +341,8 @@ class Prescribed:
         same = values is old and (rate == self._rate or not self._conditions.changing)
         if not same:
             self._values = self._rate * window.from_basis(values)
+        if fixed is not known or not same:
+            window.hold(self.fixed, self._values)
         self.before = self.after = self._values
         self._known = fixed, values, self._rate
 

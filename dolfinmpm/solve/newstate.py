@@ -23,7 +23,7 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.grid.tensors import products
 from dolfinmpm.kinematics.fbar import VOLUMES, share_volumes
-from dolfinmpm.solve.heldsides import keep_inside
+from dolfinmpm.kinematics.heldsides import keep_inside
 from dolfinmpm.solve.operator import Operator
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDA
     new["V"] = J * points["V0"]
     new["x"] = points["x"] + u if x is None else x
     if not here.total:
-        keep_inside(points, here, new["x"], gradient)
+        keep_inside(points, here, new["x"])
     if any(here.fields[k].basis.averaged for k in here.movers):
         new["l"] = _domains(operator, new["F"])
     return bad
