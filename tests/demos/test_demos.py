@@ -27,7 +27,7 @@ NUMBERS = {
     "layered_ground": ("P", 68131.4),
     "paraview_and_checkpoint": ("difference", 0.0),
     # rounding decides which corners touch first: two processors differ by 0.013
-    "pipe": ("factor", 5.141),
+    "pipe": ("factor", 5.145),
     "plough": ("ratio", 5.876),
     "published_law": ("settlement", 0.11531),
     "refined_cone": ("found", 10.031),
