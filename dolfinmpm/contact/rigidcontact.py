@@ -299,8 +299,9 @@ def contact(
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         friction: Coefficient μ of Coulomb's friction.
-        shear_limit: Largest shear stress of friction (Pa), such as α c_u on clay. It acts where
-            μ times the pressure is larger, so it needs `friction`. None for no limit.
+        shear_limit: Largest shear stress of friction (Pa), such as α c_u on clay, see
+            `dolfinmpm.contact.sharedsurface`. It acts where μ times the pressure is larger, so it
+            needs `friction`. None for no limit.
         penalty: κ in units of E/h: E is Young's modulus in the first state of the points, h the
             smallest height of a cell. About 100 for stiff confined bodies.
             `mpm.stiffness_per_area` returns κ.

@@ -164,6 +164,8 @@ def shared_areas(own: TouchingCorners, points: MaterialPoints) -> Array:
         np.add.at(number, ends, 1.0)
     covered /= number
     covered = _around(points, all_.places, covered)
+    if not covered.any():
+        return covered[mine]
     # a corner that is behind others may cover nothing
     some = np.maximum(covered, _LEAST * covered.max())
     return _by_force(all_.forces / some, some, i, j, 1.0 - away / reach)[mine]
