@@ -82,7 +82,7 @@ def _warn_of_size(contact: RigidContact) -> None:
     """Warn of a body that fits between the corners of a domain, as a needle does. Collective."""
     body, points = contact.body, contact.points
     sizes = np.sort(body.surface.high - body.surface.low)
-    # in the direction of a motion it may be long
+    # the longer side in 2D, the middle one in 3D: a needle is longer than it is wide
     width = float(sizes[1])
     own = points["l0"] if contact.tags is None else points["l0"][contact.chosen()]
     side = 2.0 * points.comm.allreduce(float(own.min(initial=math.inf)), op=MPI.MIN)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -176,18 +177,17 @@ class Window:
         self.sides = self._faces.by_nodes(self.place, len(self.nodes))
         self.cells = CellFinder(basis)
 
-    def hold(self, fixed: npt.NDArray[np.bool_], velocities: Array) -> None:
-        """Tell the loops which sides of the grid do not move along their normals.
-
-        Args:
-            fixed, velocities: See `Prescribed`.
-        """
+    @functools.cached_property
+    def _on_sides(self) -> list[list[Places]]:
+        """Nodes on the two sides of the grid across each axis."""
         at, first = np.unravel_index(self._at, tuple(self._shape)), self.basis.halo.origin
+        ends = [(0, len(x) - 1) for x in self.grid[1]]
+        return [[self._at[i + f == e] for e in pair] for i, f, pair in zip(at, first, ends)]
 
-        def on(axis: int, end: int) -> Places:
-            return self._at[at[axis] + first[axis] == end * (self.grid[1][axis].size - 1)]
-
-        self.grid[-1][...] = held_sides(fixed, velocities, on)
+    def hold(self, fixed: npt.NDArray[np.bool_], velocities: Array) -> None:
+        """Tell the loops which sides of the grid do not move; see `held_sides`. Collective."""
+        comm = self.basis.grid.comm
+        self.grid[-1][...] = held_sides(fixed, velocities, self._on_sides, comm)
 
     def exchange(self, width: int) -> Exchange | None:
         """Exchange of sums at the window's nodes between ranks; None on one rank. Collective.
@@ -341,8 +341,7 @@ class Prescribed:
         same = values is old and (rate == self._rate or not self._conditions.changing)
         if not same:
             self._values = self._rate * window.from_basis(values)
-        if fixed is not known or not same:
-            window.hold(self.fixed, self._values)
+        window.hold(self.fixed, self._values)
         self.before = self.after = self._values
         self._known = fixed, values, self._rate
 

@@ -9,12 +9,13 @@ side goes on to the distance s (1 + g) = s (1 + 2 ū/(s + l)).
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
@@ -23,6 +24,7 @@ from dolfinmpm.grid.lattice import largest_cell
 __all__ = ["held_sides", "inside_sides", "keep_inside"]
 
 Array = npt.NDArray[np.float64]
+Nodes = npt.NDArray[np.intp]
 
 # Part of a cell by which nodes are beside a side, and least new part of the distance from it
 _AT_SIDE, _LEAST = 1e-6, 1e-3
@@ -51,22 +53,25 @@ def inside_sides(held, axis, low, high, x, half, going):
     return left - distance if going < 0.0 else distance - left
 
 
-def held_sides(fixed: npt.NDArray[np.bool_], values: Array, on: Any) -> npt.NDArray[np.bool_]:
-    """Which sides of the grid do not move along their normals, shape (d, 2).
+def held_sides(
+    fixed: npt.NDArray[np.bool_], values: Array, on: Sequence[Sequence[Nodes]],
+    comm: MPI.Comm = MPI.COMM_SELF,
+) -> npt.NDArray[np.bool_]:  # fmt: skip
+    """Which sides of the grid do not move along their normals, shape (d, 2). Collective on `comm`.
 
     Args:
         fixed: Mask of the prescribed components, shape (nodes, d).
         values: Prescribed values, shape (nodes, d).
-        on: Function from an axis and an end (0, 1) to the nodes of this rank on that side.
+        on: Nodes of this rank on the two sides across each axis.
+        comm: Ranks that have nodes on the sides.
     """
-    d = fixed.shape[1]
-    held = np.zeros((d, 2), np.bool_)
-    for axis in range(d):
-        for end in range(2):
-            nodes = on(axis, end)
-            still = fixed[nodes, axis] & (values[nodes, axis] == 0.0)
-            held[axis, end] = nodes.size > 0 and bool(still.all())
-    return held
+    still = fixed & (values == 0.0)
+    found = np.array(
+        [[(n.size > 0, not still[n, axis].all()) for n in ends] for axis, ends in enumerate(on)]
+    )
+    if comm.size > 1:
+        comm.Allreduce(MPI.IN_PLACE, found, op=MPI.LOR)
+    return np.asarray(found[..., 0] & ~found[..., 1])
 
 
 def keep_inside(points: MaterialPoints, here: Any, x: Array) -> None:
@@ -93,16 +98,9 @@ def keep_inside(points: MaterialPoints, here: Any, x: Array) -> None:
         for p in rows:
             old = points["x"][p]
             near = np.flatnonzero(np.all(np.abs(nodes - old) < 1.5 * cell, axis=1))
-            on = functools.partial(_on_side, near, nodes[near], (low, high), _AT_SIDE * cell)
+            away = [np.abs(nodes[near] - side) < _AT_SIDE * cell for side in (low, high)]
+            on = [[near[side[:, a]] for side in away] for a in range(points.gdim)]
             held = held_sides(fixed, values, on)
             for a in range(points.gdim):
                 own = low[a], high[a], old[a], points["l"][p, a], x[p, a] - old[a]
                 x[p, a] = old[a] + inside_sides(held, a, *own)
-
-
-def _on_side(
-    numbers: npt.NDArray[np.intp], x: Array, sides: tuple[Array, Array], least: float, axis: int,
-    end: int,
-) -> npt.NDArray[np.intp]:  # fmt: skip
-    """Nodes on a side, by their numbers and positions (m)."""
-    return numbers[np.abs(x[:, axis] - sides[end][axis]) < least]

@@ -64,7 +64,7 @@ def test_a_wall_that_comes_nearer_or_is_held_in_part_does_not_count():
     values[1, 0] = 0.1
     fixed[3, 1] = False
     sides = [[np.array([0, 1]), np.array([2, 3])], [np.array([0, 2]), np.array([1, 3])]]
-    held = held_sides(fixed, values, lambda axis, end: sides[axis][end])
+    held = held_sides(fixed, values, sides)
     np.testing.assert_array_equal(held, [[False, True], [True, False]])
 
 
