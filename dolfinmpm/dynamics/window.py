@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -177,17 +176,11 @@ class Window:
         self.sides = self._faces.by_nodes(self.place, len(self.nodes))
         self.cells = CellFinder(basis)
 
-    @functools.cached_property
-    def _on_sides(self) -> list[list[Places]]:
-        """Nodes on the two sides of the grid across each axis."""
+    def on_sides(self) -> list[list[Places]]:
+        """Nodes on the two sides of the grid across each axis, by numbers in the window."""
         at, first = np.unravel_index(self._at, tuple(self._shape)), self.basis.halo.origin
         ends = [(0, len(x) - 1) for x in self.grid[1]]
         return [[self._at[i + f == e] for e in pair] for i, f, pair in zip(at, first, ends)]
-
-    def hold(self, fixed: npt.NDArray[np.bool_], velocities: Array) -> None:
-        """Tell the loops which sides of the grid do not move; see `held_sides`. Collective."""
-        comm = self.basis.grid.comm
-        self.grid[-1][...] = held_sides(fixed, velocities, self._on_sides, comm)
 
     def exchange(self, width: int) -> Exchange | None:
         """Exchange of sums at the window's nodes between ranks; None on one rank. Collective.
@@ -328,6 +321,7 @@ class Prescribed:
         """
         if window is not self._window:
             self._window, self._known = window, (None, None, math.nan)
+            self._on_sides = window.on_sides()
         self._rate, self._driven = rate, None
         self._take()
 
@@ -341,7 +335,9 @@ class Prescribed:
         same = values is old and (rate == self._rate or not self._conditions.changing)
         if not same:
             self._values = self._rate * window.from_basis(values)
-        window.hold(self.fixed, self._values)
+        comm = window.basis.grid.comm
+        # for the loops: sides that do not move keep the points inside
+        window.grid[-1][...] = held_sides(self.fixed, self._values, self._on_sides, comm)
         self.before = self.after = self._values
         self._known = fixed, values, self._rate
 
