@@ -24,9 +24,12 @@ __all__ = ["warn_at_start"]
 
 Array = npt.NDArray[np.float64]
 
-# Depth within a body at the start that is told, over the distance of a point from its corners.
-# Points that are filled beside a round body have corners within it, most of them less deep.
+# Depth of a corner within a body at the start that is told, and distance of the point from the body
+# that is not told with it, both over the distance of a point from its corners. Points that are
+# filled beside a body have corners within it: most of them less deep, and of a triangle that the
+# surface cuts off a domain 0.53, where the point is 0.47 away (a corner of a cube: 0.70 and 0.30).
 _OVERLAP = 0.5
+_AWAY = 0.25
 # Distance of a body from the grid, in lengths of the grid, that a wrong unit makes: mm are 1000
 _FAR = 30.0
 # Part of a width that is rounding
@@ -49,7 +52,10 @@ def _warn_of_overlap(active: Any) -> None:
     """Warn where corners of points begin within the body. Collective."""
     contact, layout = active.contact, active.layout
     gap, rows = active.start.gap, active.corners.rows
-    deep = gap < -_OVERLAP * layout.reach(rows)
+    deep = np.flatnonzero(gap < -_OVERLAP * layout.reach(rows))
+    centres = contact.body.start.back(contact.points["x"][rows[deep]])
+    away = contact.body.surface.probe(centres)[0] > _AWAY * layout.reach(rows[deep])
+    deep = deep[~away]
     found = np.array([-gap[deep].min(initial=0.0), np.unique(rows[deep]).size])
     largest = contact.points.comm.allreduce(found[0], op=MPI.MAX)
     count = contact.points.comm.allreduce(int(found[1]), op=MPI.SUM)

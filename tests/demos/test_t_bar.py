@@ -6,7 +6,6 @@ import pytest
 from conftest import figures_of
 
 
-@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.OverlapWarning")
 @pytest.mark.parametrize(("adhesion", "ranks"), [(0, 1), (1, 2)])
 def test_the_bearing_factor(adhesion, ranks):
     done = figures_of(

@@ -185,7 +185,6 @@ def test_what_a_tool_does_is_work():
     assert work == pytest.approx(found[1].external, rel=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.OverlapWarning")
 def test_what_is_pressed_in_at_first_comes_from_somewhere():
     """A plate that overlaps a block a little throws it off, and the run goes on."""
     grid, found = grid_of((0, 0), (1, 1.25), (8, 10)), []

@@ -107,7 +107,6 @@ def test_two_corners_at_one_place_share_its_area():
     np.testing.assert_allclose(on_a_plane(row, 0.025), 0.025)
 
 
-@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.OverlapWarning")
 @pytest.mark.parametrize("angle", [30, 45])
 def test_a_rough_plate_on_an_elastic_slope(angle):
     """Some columns of points do not reach it, and yet the shear force is τ times the length."""
@@ -176,7 +175,6 @@ def test_a_rough_disc_that_turns_in_deep_ground(h, ratio, steps):
     assert found == pytest.approx(1.0, abs=0.015)
 
 
-@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.OverlapWarning")
 def test_a_rough_ball_that_turns_in_deep_ground():
     """The torque had been 0.79 of π² R³ τ."""
     exact = 0.5 * np.pi**2 * 0.5**3
@@ -206,7 +204,6 @@ def load_of_a_disc(adhesion):
     return 2 * body.force[1] / (2 * radius * cohesion)
 
 
-@pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.OverlapWarning")
 def test_a_disc_with_adhesion_in_deep_clay():
     """Randolph & Houlsby 1984, doi 10.1680/geot.1984.34.4.613."""
     loads = [load_of_a_disc(adhesion) for adhesion in (0.0, 0.5, 1.0)]
