@@ -19,6 +19,13 @@ __all__ = ["ConvergenceTest", "others_balanced", "references"]
 Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
 
+# Largest part of out-of-balance forces, over the tolerance of loads and reactions, that the forces at
+# zero increments allow
+_LOOSE = 10.0
+# Share of the forces at zero increments below which out-of-balance forces are rounding, and share
+# that is enough where iterations do not reduce it further
+_ROUNDING, _ENOUGH = 1e-12, 1e-9
+
 
 class ConvergenceTest:
     """Convergence criterion of Newton's method: the relative out-of-balance force.
@@ -70,7 +77,7 @@ class ConvergenceTest:
         reference: float,
         iteration: int,
         by_field: Array | None = None,
-        once_more: bool = False,
+        strictly: bool = False,
     ) -> int:
         """Reason of SNES to continue or to end.
 
@@ -80,28 +87,47 @@ class ConvergenceTest:
             iteration: Number of the iteration, from 0.
             by_field: Norm and reference per field, shape (fields, 2), because units differ between
                 fields. None for a single field, or before the references are known.
-            once_more: Whether iterations from a guess go on once more if the forces are in balance
-                only relative to those at zero increments. Supports that are much stiffer than the
-                soil make these much larger than loads and reactions. From zero increments, the last
-                iteration leaves much less than the tolerance, because it converges quadratically.
-                A guess may be so close that it does not.
+            strictly: Whether iterations go on if the forces are in balance only relative to those
+                at zero increments. Supports that are much stiffer than the soil make these much
+                larger than loads and reactions: those of a rigid footing, 10⁵ times. The load of
+                the footing would be wrong by as much. From a guess they go on once more at least,
+                because a guess may be so close that the last iteration leaves much. An unloaded
+                body has nothing else to compare with: its iterations end at rounding, or where
+                they no longer help.
         """
         if not math.isfinite(norm):
             return DIVERGED_NAN
         if iteration == 0 and not (self.guessed or self.resumed):
             self._first = norm
-        strict = norm <= self.tolerance * reference
         # an unloaded body has no loads and reactions to compare with at the end
-        reference = max(reference, self._first, self.motion)
+        loads, reference = reference, max(reference, self._first, self.motion)
         relative = norm / reference if reference else 0.0
         for one, own in by_field if by_field is not None else ():
             relative = max(relative, one / own if own else 0.0)
         entered = not self.residuals or self.residuals[-1] > self.tolerance
         self.residuals.append(float(relative))
-        if relative <= self.tolerance:
-            loose = self.guessed and once_more and entered and not strict
-            return Reason.ITERATING if loose else Reason.CONVERGED_FNORM_RELATIVE
-        return Reason.DIVERGED_MAX_IT if self.made >= self.max_iterations else Reason.ITERATING
+        last = self.made >= self.max_iterations
+        loose = self._loose(norm, loads, reference, last, self.guessed and entered)
+        if relative <= self.tolerance and not (strictly and loose):
+            return Reason.CONVERGED_FNORM_RELATIVE
+        return Reason.DIVERGED_MAX_IT if last else Reason.ITERATING
+
+    def _loose(
+        self, norm: float, loads: float, largest: float, last: bool, once_more: bool
+    ) -> bool:
+        """Whether forces that are small relative to those at zero increments are not in balance.
+
+        Args:
+            norm: Norm of the out-of-balance force.
+            loads: Norm of external forces and reactions.
+            largest: The same, or the norm of the forces at zero increments if that is larger.
+            last: Whether no more iterations are allowed.
+            once_more: Whether iterations go on whatever has been reached.
+        """
+        if norm <= self.tolerance * loads:
+            return False
+        share = _ENOUGH if last or self.stalls else _ROUNDING
+        return once_more or norm > max(_LOOSE * self.tolerance * loads, share * largest)
 
 
 def others_balanced(operator: Operator, by_field: Array, tolerance: float) -> bool:
