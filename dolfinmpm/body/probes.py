@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import shown, vector
@@ -19,7 +20,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.markerstate import keys_of
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.grid.lattice import cell_edges, largest_cell
 
 __all__ = ["Probe", "probe"]
 
@@ -33,6 +34,8 @@ _MOST, _WIDE = 5, 2.0
 _ROW = 0.2
 # Ratio of squared spreads below which the points have no spread in a direction
 _FLAT = 1e-12
+# Ratio of edges up to which a circle about a place reaches two cells across, and is a circle
+_LONG = 4.0
 # Share of the largest distance below which a point is at the place
 _AT = 1e-6
 
@@ -41,11 +44,11 @@ _AT = 1e-6
 def probe(points: MaterialPoints, place: npt.ArrayLike) -> Probe:
     """Follow a place of a body, such as the crest of a slope. Collective.
 
-    The probe chooses the nearest material points, 2^d points or more, and keeps their weights. The
-    place is the weighted mean of the points' positions. Fields that are linear in the positions
-    have their exact value at the place, also at the edge of the body beyond the points. The points
-    do not depend on the number of ranks. The probe follows them from rank to rank, and over
-    checkpoints.
+    The probe chooses the nearest material points, 2^d points or more, and keeps their weights. In
+    cells longer than 4:1 distances along the long edge count less. The place is the weighted mean
+    of the points' positions. Fields that are linear in the positions have their exact value at the
+    place, also at the edge of the body beyond the points. The points do not depend on the number
+    of ranks. The probe follows them from rank to rank, and over checkpoints.
 
     `history.record(crest=crest)` records the displacement of the place, see `History`.
 
@@ -95,28 +98,53 @@ class Probe:
     def _find(self) -> None:
         """Choose points and weights. Collective."""
         points, comm = self.points, self.points.comm
-        fields, cell, most = points.fields, largest_cell(points.grid), _MOST**points.gdim
-        distance = np.linalg.norm(fields.read("x") - self.place, axis=1)
+        fields, cell, most = points.fields, _longest_edge(points.grid), _MOST**points.gdim
+        away = np.linalg.norm(fields.read("x") - self.place, axis=1)
+        nearest = comm.allreduce(away.min(initial=np.inf), op=MPI.MIN)
+        shape = self._shape(away, nearest)
+        distance = np.linalg.norm((fields.read("x") - self.place) / shape, axis=1)
         least = comm.allreduce(distance.min(initial=np.inf), op=MPI.MIN)
         last = np.partition(distance, most - 1)[most - 1] if len(distance) > most else np.inf
         rows = np.flatnonzero(distance <= max(last, _WIDE * least) * (1 + _SAME))
         own = [distance[rows], *(fields.read(name)[rows] for name in ("x", "x0", "id"))]
         d, x, x0, number = (np.concatenate(columns) for columns in zip(*comm.allgather(own)))
-        if not least <= cell:
+        if not nearest <= cell:
             raise ParameterError(
-                f"place = {self.place.tolist()} m is {least:.3g} m from the next material point, "
+                f"place = {self.place.tolist()} m is {nearest:.3g} m from the next material point, "
                 f"at {x[np.argmin(d)].tolist()} m, and may be no further than a cell ({cell:.3g} "
                 "m): give a place in the body, or at its edge"
             )
-        chosen = _chosen(d, x, least, 2**points.gdim, most)
+        chosen = _chosen(d, x / shape, least, 2**points.gdim, most)
         # the order must not depend on the number of ranks
         chosen = chosen[np.argsort(keys_of(x0[chosen]))]
-        self.weights = _weights(x[chosen] - self.place)
+        self.weights = _weights((x[chosen] - self.place) / shape)
         self._x0, self._id = x0[chosen], number[chosen]
         self._near = _SAME * cell
         self._seen: tuple[int, int] = -1, points.restored
         self._rows: list[int] = []
         self._slots: list[int] = []
+
+    def _shape(self, away: Array, nearest: float) -> Array:
+        """Units of distance that differ by direction in long cells, shape (d,). Collective.
+
+        A circle about the place would take in points of many thin cells, whose fields are not
+        linear over so far a way. The units follow the edges of the nearest point's domain.
+
+        Args:
+            away: Distances of this rank's points from the place (m).
+            nearest: The least distance on all ranks (m).
+        """
+        fields, comm = self.points.fields, self.points.comm
+        rows = np.flatnonzero(away <= nearest * (1 + _SAME))
+        own = fields.read("x0")[rows], fields.read("l")[rows]
+        x0, half = (np.concatenate(columns) for columns in zip(*comm.allgather(own)))
+        if not half.size:
+            return np.ones(self.points.gdim)
+        # of several equally near points the same on any number of ranks
+        one = half[np.argmin(keys_of(x0))]
+        if not one.min() > 0.0:
+            return np.ones(self.points.gdim)
+        return np.asarray(np.minimum(1.0, _LONG * one / one.max()), np.float64)
 
     def _locate(self) -> None:
         """Find the probe's points on this rank."""
@@ -215,12 +243,20 @@ class Probe:
         return f"the probe at {self.place.tolist()} m"
 
 
+@collective
+def _longest_edge(grid: Mesh) -> float:
+    """Size of the largest cell, or the longest edge on a rectangular grid (m). Collective."""
+    edges = cell_edges(grid)
+    own = 0.0 if edges is None else edges.x.array.max(initial=0.0)
+    return max(largest_cell(grid), grid.comm.allreduce(float(own), op=MPI.MAX))
+
+
 def _chosen(d: Array, x: Array, least: float, count: int, most: int) -> npt.NDArray[np.intp]:
     """The nearest points that do not form a single row.
 
     Args:
         d: Distances of the points from the place (m), shape (n,).
-        x: Positions of the points (m), shape (n, gdim).
+        x: Positions of the points in the same units, shape (n, gdim).
         least: The least distance (m). A distant place takes more points, so that weights stay
             small.
         count: Least number of points.

@@ -73,6 +73,22 @@ def test_a_place_some_way_from_the_points():
     np.testing.assert_allclose(one.position, [1.05, 0.4], atol=1e-12)
 
 
+def test_a_place_in_long_cells_is_told_by_the_points_beside_it():
+    """A curve across cells of 40:1; points of ten cells to each side had told it."""
+    lines = [np.linspace(0.0, 1.0, 41), [0.0, 1.0, 2.0]]
+    points = mpm.fill(mpm.create_lattice(COMM, lines), mpm.Box((0, 0), (1, 1)), 2, 1.0)
+    points.add_field("heat", value=lambda x: np.sin(5 * x[0]))
+    for at in (0.43, 0.53):
+        for height in (0.3, 0.5):
+            one = mpm.probe(points, (at, height))
+            assert np.ptp(one._x0[:, 0]) < 4 * 0.025
+            # 25/2 · 0.05² within two cells
+            assert abs(one["heat"] - np.sin(5 * at)) < 0.02
+            np.testing.assert_allclose(one.position, [at, height], atol=1e-12)
+    with pytest.raises(ParameterError, match=r"no further than a cell \(1 m\)"):
+        mpm.probe(points, (0.5, 2.0))
+
+
 def column(**space):
     """A column that settles under its weight by ρ g H²/(2 E); its problem, probe and load."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (1, 5)], (1, 20), mesh.CellType.quadrilateral)
