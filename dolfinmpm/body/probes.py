@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -218,6 +219,9 @@ class Probe:
         """Total displacement against the last axis (m), positive downwards. Collective."""
         # 0 and not −0 without a displacement
         return 0.0 - float(self.displacement[-1])
+
+    def __iter__(self) -> Iterator[str]:  # `in` and list() would count numbers from 0 without it
+        return iter(self.points.fields)
 
     @collective
     def __getitem__(self, name: str) -> Any:

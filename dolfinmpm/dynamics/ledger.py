@@ -6,9 +6,8 @@ that are differences:
 
 - "plastic": work of the stresses less the energy stored by laws that may yield;
 - "projection": change of the nodes' kinetic energy less change of the points' kinetic energy: the
-  loss by mapping from the points to the nodes and back. In explicit steps it is the kinetic energy
-  that the points would have if nodes only changed their velocities, less the energy that they
-  have. It is zero in "flip";
+  loss by mapping from the points to the nodes and back. In explicit steps: the kinetic energy that
+  the points would have if nodes only changed their velocities, less theirs; zero in "flip";
 - "merging": kinetic and elastic energy that points lose where they split and merge, such as by
   `Problem.adapt`;
 - "integrator": the remainder, such as damping by a rule in time or errors of quadrature.
@@ -17,7 +16,7 @@ that are differences:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -138,9 +137,8 @@ class Work:
 
     def take(self, values: Array) -> None:
         """Restore sums returned by `values`."""
-        sums, losses = map(float, values[:4]), map(float, values[4:-4])
-        self.external, self.internal, self.grid, self.projected = sums
-        self.losses = dict(zip(LOSSES, losses))
+        self.external, self.internal, self.grid, self.projected = map(float, values[:4])
+        self.losses = dict(zip(LOSSES, map(float, values[4:-4])))
         self.start, self.length, self.late, self.late_bodies = map(float, values[-4:])
 
 
@@ -181,6 +179,9 @@ class Energies:
     def dissipated(self) -> float:
         """The sum of the losses (J)."""
         return sum(self.losses.values())
+
+    def __iter__(self) -> Iterator[str]:  # `in` and list() would count numbers from 0 without it
+        return iter(self.losses)
 
     def __getitem__(self, name: str) -> float:
         """A loss by its name (J).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,9 @@ class History:
 
     def __len__(self) -> int:
         return len(self._rows)
+
+    def __iter__(self) -> Iterator[str]:  # `in` and list() would count numbers from 0 without it
+        return iter(self.names)
 
     def __getitem__(self, name: str) -> npt.NDArray[np.float64]:
         if not isinstance(name, str) or name not in self.names:

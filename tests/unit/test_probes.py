@@ -89,6 +89,24 @@ def test_a_place_in_long_cells_is_told_by_the_points_beside_it():
         mpm.probe(points, (0.5, 2.0))
 
 
+def test_names_are_asked_for_with_in():
+    """Python counts numbers from 0 where a class has names and no `__iter__`."""
+    points = body()
+    V = mpm.Space(points.grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    problem, curve = mpm.Newmark(F, V.increment, points), mpm.History()
+    problem.step(1e-3)
+    curve.record(t=1.0, load=2.0)
+    now, one = problem.energies(), mpm.probe(points, (0.3, 0.3))
+    assert "integrator" in now
+    assert "kinetic" not in now
+    assert list(now) == list(now.losses)
+    assert "way" not in curve
+    assert list(curve) == ["t", "load"]
+    assert "stress" in one
+    assert "pressure" not in one
+
+
 def column(**space):
     """A column that settles under its weight by ρ g H²/(2 E); its problem, probe and load."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (1, 5)], (1, 20), mesh.CellType.quadrilateral)
