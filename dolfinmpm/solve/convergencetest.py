@@ -19,7 +19,7 @@ __all__ = ["ConvergenceTest", "others_balanced", "references"]
 Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
 
-# Largest part of out-of-balance forces, over the tolerance of loads and reactions, that the forces at
+# Largest part of out-of-balance forces, over the tolerance of loads and reactions, that forces at
 # zero increments allow
 _LOOSE = 10.0
 # Share of the forces at zero increments below which out-of-balance forces are rounding, and share
