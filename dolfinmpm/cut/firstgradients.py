@@ -79,7 +79,7 @@ def _gradient(points: MaterialPoints, field: ActiveField, values: Array) -> Arra
 
 def _moments(away: Array, values: Array) -> Array:
     """1, r, q, q r and r r of distances r and values q, side by side, shape (n, columns)."""
-    squares = (away[:, :, None] * away[:, None]).reshape(len(away), -1)
+    squares = _rows(away[:, :, None] * away[:, None])
     one, q = np.ones((len(away), 1)), values[:, None]
     return np.hstack([one, away, q, q * away, squares])
 
@@ -95,5 +95,10 @@ def _shifted(moments: Array, way: Array) -> Array:
     weight, first, value, product, second = _split(moments, way.shape[1])
     mixed = first[:, :, None] * way[:, None]
     mixed = mixed + np.swapaxes(mixed, 1, 2) + weight[:, :, None] * way[:, :, None] * way[:, None]
-    squares = (second + mixed).reshape(len(way), -1)
+    squares = _rows(second + mixed)
     return np.hstack([weight, first + weight * way, value, product + value * way, squares])
+
+
+def _rows(tensors: Array) -> Array:
+    """Second-order tensors as rows, shape (n, d²); NumPy cannot tell −1 of no tensors."""
+    return tensors.reshape(len(tensors), tensors.shape[1] ** 2)

@@ -10,6 +10,7 @@ from conftest import COMM
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import UnstablePairWarning
+from dolfinmpm.cut.firstgradients import _moments, _shifted
 
 G, WATER, DENSITY = 9.81, 9810.0, 1900.0
 
@@ -99,3 +100,11 @@ def test_crank_and_nicolson_begin_with_the_flow_of_given_pressures(projection):
         problem.step(t)
     exact = wave(points["x0"][:, 1]) * np.exp(-((np.pi / 2) ** 2) * T)
     assert np.abs(points["pressure"] - exact).max() < 3e-3 * exact.max()
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_a_rank_without_points_has_moments_of_none(d):
+    """A body of a few points in a grid of many cells leaves ranks without points."""
+    none = _moments(np.zeros((0, d)), np.zeros(0))
+    assert none.shape == (0, 2 + 2 * d + d * d)
+    assert _shifted(none, np.zeros((0, d))).shape == none.shape
