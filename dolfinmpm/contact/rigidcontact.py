@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -24,13 +23,13 @@ from dolfinmpm._platform.argumentchecks import (
 )
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
 from dolfinmpm.assembly.term import Term, as_form
-from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpoints import CornerFields
+from dolfinmpm.contact.contactrates import largest_rate
 from dolfinmpm.contact.corners import corner_count
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.heldcorners import HeldCorners, held_components
@@ -203,21 +202,8 @@ class RigidContact(Term):
         return np.isin(self.points["tag"][rows], self.tags or ())
 
     def rate(self) -> float:
-        """Largest squared frequency due to contact (1/s²). Collective.
-
-        If the corners on one side of a point touch, the point has the stiffness κ A of a face. A
-        node at the body's edge has half the mass of its points.
-        """
-        points = self.points
-        rows = np.arange(len(points))
-        # by columns: NumPy's reductions of short rows are ten times slower
-        sides = [2 * points["l0"][:, k] for k in range(points.gdim)]
-        area = functools.reduce(np.multiply, sides) / functools.reduce(np.minimum, sides)
-        if points.axisymmetric:
-            area = ring(points["x"][:, 0], area)
-        mass = points["density"] * points["V0"]
-        worst = float((2 * self.stiffness_at(rows) * area / mass).max(initial=0.0))
-        return self.points.comm.allreduce(worst, op=MPI.MAX)
+        """Largest squared frequency due to contact (1/s²). Collective."""
+        return largest_rate(self)
 
     def stored_here(self) -> float:
         """Energy stored by the penalties at this rank's points at the end of a step (J)."""
