@@ -18,7 +18,7 @@ Of soil and water, t(u) is the traction of both: that of the effective stress le
 the step. Without the pressure, the penalty would carry the water, with a gap p/k.
 
 With F-bar, a(v, v) lacks the volume changes that differ between the points of a cell, and t_e has
-them. Where such a body yields, nothing bounds the constant: k is then at least 20 M/h.
+them. Where such a body yields, nothing bounds the constant: k is then at least 50 M/h.
 
 The gap is the deviation w at the end of the last step, so that deviations do not accumulate.
 Explicit steps have forces from the gap and from the stress at the start of a step, see
@@ -208,7 +208,7 @@ def dirichlet(
         strain, tag: As for `momentum`. The condition acts where the nearest point has the tag.
         penalty: k in units of M/h: M is the P-wave modulus of the law's elasticity, h the size of
             the largest cell. The default of "nitsche" follows from an eigenproblem around each
-            cell, and is at least 20 with F-bar. That of "skew" is 1. Both are at least 1000 in
+            cell, and is at least 50 with F-bar. That of "skew" is 1. Both are at least 1000 in
             implicit steps with inertia. That of "penalty" is 1000. Explicit steps are short with
             it: give some 10 there. `mpm.stiffness_per_area` returns k.
         stiffness_per_area: k itself (Pa/m), instead of `penalty`.
