@@ -49,8 +49,10 @@ _UNBALANCED = 4.0
 _ROUNDINGS = 4.0
 # Change of a load in the smallest substep, as a share of the load, that is a jump
 _JUMP = 0.1
-# Distance from an edge of a corner in line with it, as a share of the point's longest half-length
-_IN_LINE = 0.01
+# Distance from an edge of a corner in line with it, and beside it, as a share of the longest
+# half-length of the point. Footings that tilt failed with corners half of it beside their edges.
+_IN_LINE, _BESIDE = 0.01, 0.6
+_EDGES = "", "beside", "in line with"
 
 
 def failed_step(problem: QuasiStatic, operator: Operator, reason: str) -> Failed:
@@ -239,28 +241,38 @@ def _advice_on_edges(contacts: Sequence[ActiveRigidContact], comm: MPI.Comm) -> 
         comm: The ranks.
     """
     for contact in contacts:
-        if comm.allreduce(_at_sharp_edge(contact), op=MPI.LOR):
+        where = comm.allreduce(_at_sharp_edge(contact), op=MPI.MAX)
+        if where:
             return (
-                f". A sharp edge of '{contact.contact.body.name}' is in line with corners of "
-                "points, where the normal jumps and friction may find no balance: round it, "
+                f". A sharp edge of '{contact.contact.body.name}' is {_EDGES[where]} corners of "
+                "points, where the normal jumps and forces may find no balance: round it, "
                 "fillet=... of mpm.RigidBody, by some share of a cell, or make it a little wider"
             )
     return ""
 
 
-def _at_sharp_edge(active: ActiveRigidContact) -> bool:
-    """Whether corners of points with friction begin the step at a sharp edge, on this rank.
+def _at_sharp_edge(active: ActiveRigidContact) -> int:
+    """Where corners of points begin the step at a sharp edge, on this rank: a row of `_EDGES`.
+
+    A prescribed body without friction finds its balance there. A body that is free to turn may
+    fail with corners beside its edge.
 
     Args:
         active: The contact.
     """
     body, points = active.contact.body, active.contact.points
-    if not isinstance(body.surface, FacetedSurface) or not active.contact.law.friction:
-        return False
+    friction, free = active.contact.law.friction, body.freedom
+    turns = free is not None and bool(np.any(free.free >= body.gdim))
+    if not isinstance(body.surface, FacetedSurface) or not (friction or turns):
+        return 0
     touches = active.start.gap <= active.now.path
     x = active.local_start[touches]
-    reach = _IN_LINE * points["l"].max(axis=1)[active.corners.rows[touches]]
-    return any(bool(np.any(_distances(x, *ends) <= reach)) for ends in body.surface.sharp_edges())
+    length = points["l"].max(axis=1)[active.corners.rows[touches]]
+    shares = [_distances(x, *ends) / length for ends in body.surface.sharp_edges()]
+    nearest = min((float(share.min(initial=np.inf)) for share in shares), default=np.inf)
+    if nearest <= _IN_LINE:
+        return 2
+    return 1 if turns and nearest <= _BESIDE else 0
 
 
 def _distances(x: Array, a: Array, b: Array) -> Array:

@@ -110,3 +110,30 @@ def test_a_step_that_fails_names_the_fillet_as_a_remedy(fillet, friction, told):
         problem.step()
     assert ("in line with corners of points, where the normal jumps" in str(failed.value)) == told
     assert ("round it, fillet=..." in str(failed.value)) == told
+
+
+def test_a_footing_that_tilts_beside_its_edges_is_told_of_the_fillet():
+    """A smooth footing that is free to tilt fails where corners are beside its edges."""
+    half, c = 0.3, 4e3
+    h = half / 4
+    lines = [np.arange(-12, 13) * h, np.arange(-8, 3) * h]
+    for fillet, told in ((0, True), (0.3 * h, False)):
+        grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
+        points = mpm.fill(grid, mpm.Box((-12 * h, -8 * h), (12 * h, 0)), 2, 1700.0)
+        V = mpm.Space(grid, "gimp")
+        u, v = V.increment, V.test
+        box = mpm.Box((-half, 0), (half, 0.5))
+        footing = mpm.RigidBody(
+            box,
+            centre=(0.05, 0.0),
+            fillet=fillet,
+            increment=(0.0, -0.02),
+            free=(False, False, True),
+        )
+        F = mpm.momentum(mpm.materials.Hencky(1e3 * c, 0.3), points, u, v)
+        F += mpm.contact(footing, points, u, v)
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        problem = mpm.QuasiStatic(F, u, points, bcs, max_iterations=1, max_halvings=0)
+        with pytest.raises(ConvergenceError) as failed:
+            problem.step()
+        assert ("round it, fillet=..." in str(failed.value)) == told
