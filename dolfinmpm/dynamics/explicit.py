@@ -274,6 +274,8 @@ class Explicit(MovingBody, Problem):
         """The longest stable step (s). Collective.
 
         The order "usl" and bulk viscosity shorten it, the quadratic one by that of the last step.
+        So does contact with a free rigid body that is lighter than soil under it, also before it
+        touches.
 
         Args:
             exact: True takes 2/√λ_max of the eigenproblem K x = λ M x in the present state. The

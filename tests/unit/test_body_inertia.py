@@ -34,7 +34,8 @@ def turned(top, rule, dt, end, **options):
     grid = mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), (1, 1, 1)], (1, 1, 1), cells)
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), 2, 1000.0)
     V = mpm.Space(grid, "linear")
-    F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.0), points, V.increment, V.test)
+    # so soft that the penalty does not shorten explicit steps for the light body
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
     F += mpm.contact(top, points, V.increment, V.test)
     problem = rule(F, V.increment, points, mpm.fixed(V, "bottom"), **options)
     for t in mpm.times(end, dt=dt):
