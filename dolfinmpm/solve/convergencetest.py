@@ -20,8 +20,10 @@ Array = npt.NDArray[np.float64]
 Reason = PETSc.SNES.ConvergedReason
 
 # Largest part of out-of-balance forces, over the tolerance of loads and reactions, that forces at
-# zero increments allow
-_LOOSE = 10.0
+# zero increments allow; with contact, whose last digits may take many iterations, or not come
+_LOOSE, _LOOSE_IN_CONTACT = 10.0, 100.0
+# Part of the tolerance of forces at zero increments that is enough with contact
+_SHARE_IN_CONTACT = 1e-3
 # Share of the forces at zero increments below which out-of-balance forces are rounding, and share
 # that is enough where iterations do not reduce it further
 _ROUNDING, _ENOUGH = 1e-12, 1e-9
@@ -77,7 +79,7 @@ class ConvergenceTest:
         reference: float,
         iteration: int,
         by_field: Array | None = None,
-        strictly: bool = False,
+        contact: bool | None = None,
     ) -> int:
         """Reason of SNES to continue or to end.
 
@@ -87,13 +89,14 @@ class ConvergenceTest:
             iteration: Number of the iteration, from 0.
             by_field: Norm and reference per field, shape (fields, 2), because units differ between
                 fields. None for a single field, or before the references are known.
-            strictly: Whether iterations go on if the forces are in balance only relative to those
-                at zero increments. Supports that are much stiffer than the soil make these much
-                larger than loads and reactions: those of a rigid footing, 10⁵ times. The load of
-                the footing would be wrong by as much. From a guess they go on once more at least,
-                because a guess may be so close that the last iteration leaves much. An unloaded
-                body has nothing else to compare with: its iterations end at rounding, or where
-                they no longer help.
+            contact: Whether rigid bodies may touch. None if forces at zero increments count alone.
+                Supports that are much stiffer than the soil make these much larger than loads and
+                reactions: those of a rigid footing, 10⁵ times. The load of the footing would be
+                wrong by as much. So iterations go on if the forces are in balance only relative to
+                those at zero increments. From a guess they go on once more at least, because a
+                guess may be so close that the last iteration leaves much. An unloaded body has
+                nothing else to compare with: its iterations end at rounding, or where they no
+                longer help.
         """
         if not math.isfinite(norm):
             return DIVERGED_NAN
@@ -107,8 +110,15 @@ class ConvergenceTest:
         entered = not self.residuals or self.residuals[-1] > self.tolerance
         self.residuals.append(float(relative))
         last = self.made >= self.max_iterations
-        loose = self._loose(norm, loads, reference, last, self.guessed and entered)
-        if relative <= self.tolerance and not (strictly and loose):
+        if contact is None:
+            loose = False
+        elif contact:
+            loose = not (last or self.stalls) and norm > self.tolerance * max(
+                _LOOSE_IN_CONTACT * loads, _SHARE_IN_CONTACT * reference
+            )
+        else:
+            loose = self._loose(norm, loads, reference, last, self.guessed and entered)
+        if relative <= self.tolerance and not loose:
             return Reason.CONVERGED_FNORM_RELATIVE
         return Reason.DIVERGED_MAX_IT if last else Reason.ITERATING
 

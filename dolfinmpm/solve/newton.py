@@ -253,7 +253,7 @@ class Newton:
             if now.by_field is not None and (iteration > 0 or balance.predicted):
                 by_field = references(operator, matrix.petsc, snes.getSolution(), now.by_field)
                 smallest = float(by_field[:, 1].min())
-            reason = balance.test(norms[2], now.reference, iteration, by_field, not contact)
+            reason = balance.test(norms[2], now.reference, iteration, by_field, contact)
             if balance.guessed and iteration == 0 and not balance.resumed:
                 if not norms[2] < InitialGuess.allowed_share(contact) * balance.motion:
                     return Reason.DIVERGED_LINE_SEARCH
