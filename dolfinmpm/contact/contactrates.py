@@ -35,9 +35,10 @@ def largest_rate(contact: RigidContact) -> float:
     if points.axisymmetric:
         area = ring(points["x"][:, 0], area)
     mass = points["density"] * points["V0"]
-    own = (2 * stiffness * area / mass).max(initial=0.0), stiffness.max(initial=0.0)
-    of_nodes, largest = points.comm.allreduce(np.array(own, float), op=MPI.MAX)
-    return float(of_nodes) + float(largest) * _area_over_mass(contact)
+    rates = (2 * stiffness * area / mass).max(initial=0.0), stiffness.max(initial=0.0)
+    # one number each: the maximum of Python objects cannot compare arrays
+    of_nodes, largest = (points.comm.allreduce(float(own), op=MPI.MAX) for own in rates)
+    return of_nodes + largest * _area_over_mass(contact)
 
 
 def _area_over_mass(contact: RigidContact) -> float:
