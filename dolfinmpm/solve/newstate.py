@@ -15,7 +15,7 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.gimp import update_domains
 from dolfinmpm.body.axisymmetry import full_gradient, in_section
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.body.location import destinations
+from dolfinmpm.body.location import bounds, destinations
 from dolfinmpm.body.pointchecks import seal_results, unseal_results
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
@@ -90,11 +90,9 @@ def new_state(
     operator.update_contact(moved)
     for term in operator.others:
         term.update(state)
-    finite = all(np.isfinite(values).all() for values in new.values())
-    if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
-        if bad.size:
-            evaluation.blame(int(bad[0]))
-        return "a material point's state is not finite or its volume not positive"
+    reason = _impossible(operator, new, bad)
+    if reason is not None:
+        return reason
     for contact in operator.contacts:
         reason = contact.fault(state)
         if reason is not None:
@@ -112,6 +110,39 @@ def new_state(
     for term in operator.others:
         term.follow(state, number)
     return state
+
+
+def _impossible(
+    operator: Operator, new: Mapping[str, Array], bad: npt.NDArray[np.intp]
+) -> str | None:
+    """Why points cannot have a new state, or None. Collective.
+
+    Args:
+        operator: The operator.
+        new: New values by name of the field.
+        bad: Points whose volume would not be positive.
+    """
+    points, comm = operator.form.points, operator.form.points.comm
+    low, high = bounds(points.grid)
+    # see `error_in_fields`, which would refuse such a domain in the next step
+    most = (high - low) * (1 + 1e-9)
+    long: npt.NDArray[np.intp] = np.empty(0, np.intp)
+    if "l" in new and not 2 * new["l"].max(initial=0.0) <= most.min():
+        long = np.flatnonzero(np.any(2 * new["l"] > most, axis=1))
+    possible = not bad.size and all(np.isfinite(values).all() for values in new.values())
+    if comm.allreduce(possible and not long.size, op=MPI.LAND):
+        return None
+    for rows in (bad, long):
+        if rows.size:
+            operator.points.blame(int(rows[0]))
+            break
+    if not comm.allreduce(possible, op=MPI.LAND):
+        return "a material point's state is not finite or its volume not positive"
+    return (
+        "the domain of a material point would be longer than the grid, as where a body is torn: "
+        "take a stabilisation, or domains that change with the volume only, "
+        'mpm.Space(..., domains="volume")'
+    )
 
 
 def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDArray[np.intp]:
