@@ -23,9 +23,14 @@ def test_a_step_fails_with_a_domain_longer_than_the_grid():
     half = points["l"].copy()
     # as long as the grid is wide, and as high
     half[3] = 2.0, 0.5
-    assert _impossible(operator, {"l": half}, NONE) is None and not blamed
+    assert _impossible(operator, {"l": half}, NONE) is None
+    assert not blamed
     half[3] = 0.25, 0.51
     reason = _impossible(operator, {"l": half}, NONE)
-    assert reason is not None and "longer than the grid" in reason and blamed == [3]
+    assert reason is not None
+    assert "longer than the grid" in reason
+    assert blamed == [3]
     reason = _impossible(operator, {"l": half, "V": np.full(3, np.nan)}, np.array([5]))
-    assert reason is not None and "not finite" in reason and blamed == [3, 5]
+    assert reason is not None
+    assert "not finite" in reason
+    assert blamed == [3, 5]
