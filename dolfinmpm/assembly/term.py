@@ -203,8 +203,12 @@ class Term:
         """The term on an activation, or None if it has no forces there. Collective."""
         return None
 
-    def rate(self) -> float:
-        """Largest square of a frequency that it gives the body (1/s²). Collective."""
+    def rate(self, scaling: float) -> float:
+        """Largest square of a frequency that it gives the body (1/s²). Collective.
+
+        Args:
+            scaling: Factor of the points' mass in their inertia.
+        """
         return 0.0
 
     def energy(self) -> tuple[float, float]:

@@ -20,12 +20,16 @@ __all__ = ["largest_rate"]
 Array = npt.NDArray[np.float64]
 
 
-def largest_rate(contact: RigidContact) -> float:
+def largest_rate(contact: RigidContact, scaling: float) -> float:
     """Bound of the largest squared frequency due to a contact (1/s²). Collective.
 
     Masses m and M on both ends of a spring k swing with the squared frequency k/m + k/M. If the
     corners on one side of a point touch, the point has the stiffness κ A of a face. A node at the
     body's edge has half the mass of its points. The rigid body may touch with its whole side.
+
+    Args:
+        contact: The contact.
+        scaling: Factor of the points' mass in their inertia. Rigid bodies keep their mass.
     """
     points = contact.points
     stiffness = contact.stiffness_per_area()
@@ -38,7 +42,7 @@ def largest_rate(contact: RigidContact) -> float:
     rates = (2 * stiffness * area / mass).max(initial=0.0), stiffness.max(initial=0.0)
     # one number each: the maximum of Python objects cannot compare arrays
     of_nodes, largest = (points.comm.allreduce(float(own), op=MPI.MAX) for own in rates)
-    return of_nodes + largest * _area_over_mass(contact)
+    return of_nodes / scaling + largest * _area_over_mass(contact)
 
 
 def _area_over_mass(contact: RigidContact) -> float:

@@ -201,9 +201,9 @@ class RigidContact(Term):
         """Which of the given points, or of all points, have the tags of the contact."""
         return np.isin(self.points["tag"][rows], self.tags or ())
 
-    def rate(self) -> float:
-        """Largest squared frequency due to contact (1/s²). Collective."""
-        return largest_rate(self)
+    def rate(self, scaling: float) -> float:
+        """See `Term`. Collective."""
+        return largest_rate(self, scaling)
 
     def stored_here(self) -> float:
         """Energy stored by the penalties at this rank's points at the end of a step (J)."""

@@ -106,10 +106,10 @@ class SpringBed(Term):
         own = 0.5 * float(self.normals[1] @ self.way**2)
         return self.points.comm.allreduce(own, op=MPI.SUM), 0.0
 
-    def rate(self) -> float:
+    def rate(self, scaling: float) -> float:
         """See `Term`: a node at the edge of the body has half of the mass of its points."""
         mass = self.points["density"] * self.points["V0"]
-        worst = float((2.0 * self.normals[1] / mass).max(initial=0.0))
+        worst = float((2.0 * self.normals[1] / mass).max(initial=0.0)) / scaling
         return self.points.comm.allreduce(worst, op=MPI.MAX)
 
 

@@ -298,13 +298,13 @@ class Explicit(MovingBody, Problem):
             self.points, field.space.basis, declarations, self.terms.kind, tied, sizes
         )
         # a corner in contact acts as a spring on a node of small mass
-        springs = sum(term.rate() for term in self.form.terms)
+        springs = sum(term.rate(mass_scaling) for term in self.form.terms)
         if self.terms.kind == "consistent":
             # functions of degree p move ρh/(p + 1)² at a face; `rate` counts with linear ones
             springs *= (0.5 * (field.space.basis.degree + 1)) ** 2
         boundaries = loop.boundary_stiffness() if isinstance(loop, GeneralSteps) else Stiffness()
-        rate = (1.0 + boundaries.share) / found**2 + 0.25 * (springs + boundaries.rate)
-        return self._shortened(math.sqrt(mass_scaling / rate))
+        rate = (1.0 + boundaries.share) / found**2 + 0.25 * boundaries.rate
+        return self._shortened(1.0 / math.sqrt(rate / mass_scaling + 0.25 * springs))
 
     def _shortened(self, longest: float) -> float:
         """The longest stable step (s), from 2/ω_max without bulk viscosity. Collective."""

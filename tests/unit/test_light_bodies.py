@@ -51,3 +51,15 @@ def test_the_critical_step_is_that_of_both_masses():
     assert rate[1e12] == pytest.approx(rate[None], rel=1e-6)
     added = 0.25 * PENALTY * STIFF / H * (1 + 2) / 5.0
     assert rate[5.0] - rate[None] == pytest.approx(added, rel=1e-3)
+
+
+def test_a_scaled_mass_is_that_of_the_soil():
+    """Steps grow by the root of the factor for the soil, and not for the rigid body."""
+    rate = {
+        (mass, factor): block_and_disc(mass, mass_scaling=factor).critical_step() ** -2
+        for mass in (None, 5.0)
+        for factor in (1.0, 100.0)
+    }
+    assert rate[None, 1.0] == pytest.approx(100.0 * rate[None, 100.0], rel=1e-9)
+    body = [rate[5.0, factor] - rate[None, factor] for factor in (1.0, 100.0)]
+    assert body[0] == pytest.approx(body[1], rel=1e-9)
