@@ -109,21 +109,18 @@ class ConvergenceTest:
             relative = max(relative, one / own if own else 0.0)
         entered = not self.residuals or self.residuals[-1] > self.tolerance
         self.residuals.append(float(relative))
-        last = self.made >= self.max_iterations
-        if contact is None:
-            loose = False
-        elif contact:
-            loose = not (last or self.stalls) and norm > self.tolerance * max(
-                _LOOSE_IN_CONTACT * loads, _SHARE_IN_CONTACT * reference
-            )
-        else:
-            loose = self._loose(norm, loads, reference, last, self.guessed and entered)
+        loose = contact is not None and self._loose(norm, loads, reference, contact, entered)
         if relative <= self.tolerance and not loose:
             return Reason.CONVERGED_FNORM_RELATIVE
-        return Reason.DIVERGED_MAX_IT if last else Reason.ITERATING
+        return Reason.DIVERGED_MAX_IT if self._last else Reason.ITERATING
+
+    @property
+    def _last(self) -> bool:
+        """Whether no more iterations are allowed."""
+        return self.made >= self.max_iterations
 
     def _loose(
-        self, norm: float, loads: float, largest: float, last: bool, once_more: bool
+        self, norm: float, loads: float, largest: float, contact: bool, entered: bool
     ) -> bool:
         """Whether forces that are small relative to those at zero increments are not in balance.
 
@@ -131,13 +128,18 @@ class ConvergenceTest:
             norm: Norm of the out-of-balance force.
             loads: Norm of external forces and reactions.
             largest: The same, or the norm of the forces at zero increments if that is larger.
-            last: Whether no more iterations are allowed.
-            once_more: Whether iterations go on whatever has been reached.
+            contact: Whether rigid bodies may touch.
+            entered: Whether the forces before this iteration were above the tolerance.
         """
         if norm <= self.tolerance * loads:
             return False
-        share = _ENOUGH if last or self.stalls else _ROUNDING
-        return once_more or norm > max(_LOOSE * self.tolerance * loads, share * largest)
+        helpless = self._last or self.stalls
+        if contact:
+            enough = max(_LOOSE_IN_CONTACT * loads, _SHARE_IN_CONTACT * largest)
+            return not helpless and norm > self.tolerance * enough
+        share = _ENOUGH if helpless else _ROUNDING
+        enough = max(_LOOSE * self.tolerance * loads, share * largest)
+        return (self.guessed and entered) or norm > enough
 
 
 def others_balanced(operator: Operator, by_field: Array, tolerance: float) -> bool:
