@@ -376,3 +376,25 @@ class Surface(Uncopied):
         if not area:
             raise ParameterError(f"no point of the surface '{self.name}' is left: make a new one")
         return np.array(total) / area
+
+    @property
+    def outflow_name(self) -> str:
+        """Name of the points' field of the water that leaves per initial area and time (m/s)."""
+        return f"{self.name}_outflow"
+
+    @collective
+    def outflow(self) -> float:
+        """Water that leaves through the surface in the last step (m³/s; m²/s if plane). Collective.
+
+        It is negative where water enters. In parts of a halved step, the last part counts.
+
+        Raises:
+            ParameterError: No condition for water acts there, see `poromechanics`.
+        """
+        if self.outflow_name not in self.points.fields:
+            raise ParameterError(
+                f"no problem has a condition for water at the surface '{self.name}': give it to "
+                "mpm.poromechanics as drained=, seepage=, inflow= or ponded="
+            )
+        total = float(self._sizes() @ self.points[self.outflow_name])
+        return self.points.comm.allreduce(total, op=MPI.SUM)

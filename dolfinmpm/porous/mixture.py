@@ -18,7 +18,7 @@ stabilisation. Nothing is projected from the points to the grid, so that nothing
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,7 @@ from dolfinmpm.porous.mixturestep import Kinematics, Level, kinematics
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
 from dolfinmpm.porous.waterboundaries import (
     Flow,
+    outflow,
     prescribed_inflow,
     prescribed_pressure,
     seepage_face,
@@ -231,15 +232,15 @@ def poromechanics(
         keeps.append(heavy)
     if factor := factor_of(projection, u, p):
         terms += _projection(through, factor, theta, level, end, keeps, slope)
-    keeps.append(pressure)
+    on = {"drained": drained, "seepage": seepage, "inflow": inflow, "ponded": ponded}
+    at_surfaces, outflows = _surface_terms(through, weight, v, as_tags(tag), on)
+    keeps += [pressure, *outflows]
     if level is not None:
         for field in keeps:
             field.level = level.share
     penalty = {p: scale * _penalty(M, n0, fluid, K0, points, p)}
     marks = {**dX.metadata(), CARRIED: tuple(keeps), PENALTY: penalty, UNIT: {p: unit}}
-    form += terms * dX(metadata=marks)
-    on = {"drained": drained, "seepage": seepage, "inflow": inflow, "ponded": ponded}
-    return sum(_surface_terms(through, weight, v, as_tags(tag), on), form)
+    return sum(at_surfaces, form + terms * dX(metadata=marks))
 
 
 def _slope(points: MaterialPoints, gradient: Expr) -> CarriedField:
@@ -270,23 +271,30 @@ def _stored(
 
 def _surface_terms(
     through: Flow, weight: Any, v: Any, tags: Tags, given: dict[str, Any]
-) -> Iterator[ufl.Form]:
-    """Terms at the surfaces of four arguments of `poromechanics`, by name."""
+) -> tuple[list[ufl.Form], list[CarriedField]]:
+    """Terms at the surfaces of four arguments of `poromechanics` by name, and their outflows."""
     points = through.points
+    forms: list[ufl.Form] = []
+    leaving: dict[Surface, Expr] = {}
 
     def of(what: str, *unit: Any) -> list[tuple[Surface, Any]]:
         return surfaces(what, given[what], points, tags, *unit)
 
+    def leaves(surface: Surface, volume: Expr) -> None:
+        forms.append(volume * through.q * surface.dX)
+        leaving[surface] = leaving[surface] + volume if surface in leaving else volume
+
     for surface, value in of("drained", "Pa", 0.0):
-        yield prescribed_pressure(through, surface, value)
+        leaves(surface, prescribed_pressure(through, surface, value))
     for surface, value in of("seepage", "Pa", 0.0):
-        yield seepage_face(through, surface, value)
+        leaves(surface, seepage_face(through, surface, value))
     for surface, rate in of("inflow", "m/s"):
-        yield prescribed_inflow(through, surface, rate)
+        leaves(surface, prescribed_inflow(through, surface, rate))
     for surface, level in of("ponded", "m"):
         depth = ufl.max_value(level - surface.position(through.u)[points.gdim - 1], 0.0)
-        yield prescribed_pressure(through, surface, weight * depth)
-        yield surface.pressure(weight * depth, through.u, v)
+        leaves(surface, prescribed_pressure(through, surface, weight * depth))
+        forms.append(surface.pressure(weight * depth, through.u, v))
+    return forms, [outflow(points, surface, volume) for surface, volume in leaving.items()]
 
 
 def _flow_before(

@@ -1,4 +1,8 @@
-"""Conditions for water at the surfaces of a saturated body: pressures, seepage, inflow."""
+"""Conditions for water at the surfaces of a saturated body: pressures, seepage, inflow.
+
+The water's balance has the terms Σ V0 q w, with the volume w of water that leaves through the face
+of a point in a step, per initial volume of the point.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +18,20 @@ from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.forms.carriedfields import CarriedField, carried
 from dolfinmpm.forms.declarations import in_words
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.porous.mixturestep import Kinematics
 from dolfinmpm.porous.projection import largest, size_of
 
-__all__ = ["Flow", "prescribed_inflow", "prescribed_pressure", "seepage_face", "surfaces"]
+__all__ = [
+    "Flow",
+    "outflow",
+    "prescribed_inflow",
+    "prescribed_pressure",
+    "seepage_face",
+    "surfaces",
+]
 
 # Factor of the penalty of a drained surface, relative to flow through a cell and storage in a cell
 _DRAINED = 100.0
@@ -131,38 +143,53 @@ def _of_other_soil(what: str, surface: Surface, tags: tuple[int, ...]) -> Parame
     )
 
 
-def prescribed_pressure(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
-    """Prescribed pressure, by Nitsche's method without the adjoint term: flow, and a penalty.
+def prescribed_pressure(flow: Flow, surface: Surface, value: Expr) -> Expr:
+    """Water that leaves at a prescribed pressure, by Nitsche's method without the adjoint term.
 
     Args:
         flow: Flow of water in the step.
         surface: The surface.
         value: The pressure (Pa).
+
+    Returns:
+        Volume of water that leaves in the step per initial volume of a point: flow, and a penalty.
     """
     points = flow.points
-    form = surface.density * flow.stiffness * (flow.p - value) * flow.q * surface.dX
     through = ufl.dot(flow.rate, flow.area(surface)) / points.V0
-    return form - points.dt * through * flow.q * surface.dX
+    return surface.density * flow.stiffness * (flow.p - value) - points.dt * through
 
 
-def seepage_face(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
-    """Outflow where the pressure is above a value, by a penalty; no water enters.
+def seepage_face(flow: Flow, surface: Surface, value: Expr) -> Expr:
+    """Water that leaves where the pressure is above a value, by a penalty; no water enters.
 
-    Args:
-        flow: Flow of water in the step.
-        surface: The surface.
-        value: The pressure (Pa).
+    Args, Returns: See `prescribed_pressure`.
     """
-    out = ufl.max_value(flow.p - value, 0.0)
-    return surface.density * flow.stiffness * out * flow.q * surface.dX
+    return surface.density * flow.stiffness * ufl.max_value(flow.p - value, 0.0)
 
 
-def prescribed_inflow(flow: Flow, surface: Surface, rate: Expr) -> ufl.Form:
-    """Prescribed inflow.
+def prescribed_inflow(flow: Flow, surface: Surface, rate: Expr) -> Expr:
+    """Water that leaves where an inflow is prescribed: less than nothing.
 
     Args:
         flow: Flow of water in the step.
         surface: The surface.
         rate: Volume of water that enters per initial area and time (m/s).
+
+    Returns: See `prescribed_pressure`.
     """
-    return -flow.points.dt * rate * surface.density * flow.q * surface.dX
+    return -flow.points.dt * rate * surface.density
+
+
+def outflow(points: MaterialPoints, surface: Surface, leaving: Expr) -> CarriedField:
+    """Water that left through a surface in the last step, see `Surface.outflow` (m/s).
+
+    Args:
+        points: Material points.
+        surface: The surface.
+        leaving: Volume of water that leaves in the step per initial volume of a point.
+    """
+    rate = leaving / (points.dt * surface.density)
+    at_faces = ufl.conditional(ufl.gt(surface.density, 0.0), rate, 0.0)
+    field = carried(points, surface.outflow_name, at_faces, unit="m/s")
+    field.surface = surface
+    return field
