@@ -23,6 +23,7 @@ with _idle_collector():
     from dolfinmpm.body.pointfamilies import Families, FamilyChange, families, merge, split
     from dolfinmpm.body.points import MaterialPoints, PointChange
     from dolfinmpm.body.probes import probe
+    from dolfinmpm.body.sectionforces import SectionForces, section_forces
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
     from dolfinmpm.body.terrain import Terrain
@@ -111,6 +112,7 @@ __all__ = [
     "QuasiStatic",
     "RigidBody",
     "RigidFooting",
+    "SectionForces",
     "Shape",
     "Space",
     "Stabilisation",
@@ -156,6 +158,7 @@ __all__ = [
     "reaction",
     "regrid",
     "rollers",
+    "section_forces",
     "set_stress",
     "signorini",
     "soft",

@@ -1,0 +1,160 @@
+"""Forces and moments in a section of a body, such as a wall, a pile or a beam of material points.
+
+A section has the forces of a slab around it, as a mean with the weight of a hat: 1 in the section,
+and 0 at the width of a cell to both sides. The stress of a point counts with the mean weight of its
+domain. In linear functions and GIMP the stress in a bent beam swings from cell to cell; a hat two
+cells wide takes the mean of what swings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.argumentchecks import as_tags, number, shown, vector
+from dolfinmpm._platform.collective import collective
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.formarguments import check_points
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.lattice import largest_cell
+
+__all__ = ["SectionForces", "section_forces"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SectionForces:
+    """Force and moment in a section, see `section_forces`.
+
+    Attributes:
+        force: Force of the side to which the normal points, on the other side (N; N/m for plane
+            bodies), shape (gdim,). Along the normal it is positive in tension.
+        moment: Its moment about the centre of the section (N m; N m/m for plane bodies), shape
+            (1,) in 2D and (3,) in 3D. In 2D it is positive where that side turns the other one
+            counter-clockwise.
+        centre: Centre of the section (m), shape (gdim,).
+        area: Area of the section (m²; m for plane bodies).
+    """
+
+    force: Array
+    moment: Array
+    centre: Array
+    area: float
+
+
+@collective
+def section_forces(
+    points: MaterialPoints,
+    place: Any,
+    normal: Any,
+    *,
+    tag: int | tuple[int, ...] | None = None,
+    width: float | None = None,
+) -> SectionForces:
+    """Force and moment in a plane section of a body in its present state. Collective.
+
+    They are those of the stresses of the points in a slab around the section. What a ghost penalty
+    carries is not in them. Of soil with water it is the effective stress.
+
+    With k cells over the thickness of a bent plate, linear functions and GIMP miss the force and
+    the moment by about 0.3/k² of them: 7, 2 and 0.5 % with 2, 4 and 8 cells. With 4 cells of
+    quadratic splines it is below 0.2 %. Moments that vary along the beam count in their mean over
+    the slab, which must lie within the body: keep away from its ends by `width`.
+
+    Args:
+        points: Material points.
+        place: A place in the section (m), shape (gdim,).
+        normal: Normal of the section, of any length, shape (gdim,).
+        tag: Tags of the points that count, such as those of the wall; None for all points.
+        width: Distance from the section at which stresses count no more (m): by default the size
+            of the largest cell of the grid. Give the size of the leaves in a refined space.
+
+    Returns:
+        Force, moment, centre and area. For axisymmetric bodies they are those of the whole
+        circumference, and the centre has the mean radius of its area.
+
+    Raises:
+        ParameterError: An argument is not valid, or no point is in the section.
+
+    A column of 8 m² of soil is 5 m above the section:
+
+    >>> import dolfinmpm as mpm, ufl
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(9), range(12)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (8, 10)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e8, 0.3), points, V.increment, V.test)
+    >>> F -= ufl.inner(points.density * ufl.as_vector([0.0, -10.0]), V.test) * points.dX
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    >>> record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    >>> found = mpm.section_forces(points, (0, 5), (0, 1))
+    >>> found.force[1].round(-4).item(), found.area.__round__(2)
+    (-800000.0, 8.0)
+    """
+    check_points(points)
+    d = points.gdim
+    x0, n = vector("place", place, d, "m"), vector("normal", normal, d)
+    size = float(np.linalg.norm(n))
+    if not size > 0:
+        raise ParameterError(f"normal = {shown(normal)} must not be zero")
+    n = np.asarray(n / size, np.float64)
+    w = largest_cell(points.grid) if width is None else number("width", width, 0.0, unit="m")
+    tags = as_tags(tag)
+    x, read = points["x"], points.fields.read
+    # half-lengths of the domains across the section
+    half = read("l") @ np.abs(n)
+    V = read("V") * _mean_weight((x - x0) @ n, half, w)
+    if tags is not None:
+        V = V * np.isin(read("tag"), tags)
+    t = in_section(points, read("stress"))[:, :d, :d] @ n
+    sums = points.comm.allreduce(np.concatenate([[V.sum()], V @ x, V @ t]), op=MPI.SUM)
+    area = float(sums[0])
+    if not area > 0:
+        raise ParameterError(_nothing(points, x0, n, tags))
+    centre = sums[1 : 1 + d] / area
+    centre = centre - ((centre - x0) @ n) * n
+    # arms lie in the section: shear forces of the slab make no moment in its middle
+    arms = x - centre
+    arms -= (arms @ n)[:, None] * n
+    more = ((0, 0), (0, 3 - d))
+    moment = np.cross(np.pad(arms, more), np.pad(t, more))
+    total = points.comm.allreduce(V @ moment, op=MPI.SUM)
+    return SectionForces(sums[1 + d :], total if d == 3 else total[2:], centre, area)
+
+
+def _mean_weight(distance: Array, half: Array, w: float) -> Array:
+    """Mean over domains of a hat's weight, whose integral is 1 (1/m), shape (points,).
+
+    Args:
+        distance: Distance of the domains' middles from the section (m).
+        half: Half-lengths of the domains along the normal (m).
+        w: Distance at which the weight becomes zero (m).
+    """
+
+    def below(s: Array) -> Array:
+        """Integral of the weight from far below up to a distance."""
+        s = np.clip(s / w, -1.0, 1.0)
+        return 0.5 + s - 0.5 * s * np.abs(s)
+
+    return (below(distance + half) - below(distance - half)) / (2 * half)
+
+
+def _nothing(points: MaterialPoints, place: Array, n: Array, tags: Any) -> str:
+    """Message for a section without points: where they are along the normal. Collective."""
+    along = points["x"] @ n
+    if tags is not None:
+        along = along[np.isin(points["tag"], tags)]
+    low = points.comm.allreduce(along.min(initial=np.inf), op=MPI.MIN)
+    high = points.comm.allreduce(along.max(initial=-np.inf), op=MPI.MAX)
+    of = "the points" if tags is None else f"the points of tag {', '.join(map(str, tags))}"
+    where = f"lie between {low:.6g} and {high:.6g} m there" if low <= high else "do not exist"
+    return (
+        f"no point is in the section through place = {place} m, at {place @ n:.6g} m along its "
+        f"normal; {of} {where}: give a place in the body"
+    )
