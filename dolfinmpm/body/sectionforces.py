@@ -82,7 +82,7 @@ def section_forces(
     Raises:
         ParameterError: An argument is not valid, or no point is in the section.
 
-    A column of 8 m² of soil is 5 m above the section:
+    A layer of soil, 8 m wide, reaches 5 m above the section:
 
     >>> import dolfinmpm as mpm, ufl
     >>> from mpi4py import MPI
