@@ -71,11 +71,14 @@ def wet_layers():
     iterations = [problem.step(t).iterations for t in (0.1, 1.0, 5.0)]
     weight = np.sin(1.0 + points["id"])
     carried = [COMM.allreduce(float(weight @ points[k])) for k in ("pressure", "porosity")]
+    section = mpm.section_forces(points, (0.6, 0.4), (0, 1))
     return {
         "iterations": iterations,
         "count": points.total,
         "carried": carried,
         "force": wall.force().tolist(),
+        "outflow": top.outflow(),
+        "section": [*section.force, *section.moment, *section.centre, section.area],
         **sums(points, "x", "stress"),
     }
 
