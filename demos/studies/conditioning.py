@@ -20,7 +20,7 @@
 # %%
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from grids import box_grid
@@ -61,7 +61,12 @@ def block(args, dimension, offset, angle=0.0):
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=E, nu=NU), points, V.increment, V.test)
     problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=chosen)
-    return study.conditioning(problem, RHO, args.factor_m)
+    found = study.conditioning(problem, RHO, args.factor_m)
+    if args.jacobi:
+        K, modes = problem.stiffness(), study.rigid_modes(problem.here)
+        kappa = study.condition_number(K, kernel=modes, scaled=True)
+        return replace(found, kappa_K=kappa)
+    return found
 
 
 @dataclass
@@ -82,6 +87,7 @@ class Input(Options):
     factor_m: float = option(1.0, "penalty of M, units of ρ/4")
     scaling: str = option("scaled", choices=("scaled", "literal"))
     threshold: float | None = option(None, "filled share of a root cell; 0.995 in 1D, 0.9 in 2D")
+    jacobi: bool = option(False, "κ(K) of the matrix scaled to a diagonal of 1")
     eta: float = option(3e-2, "share of soft stiffness")
     spacing: float = option(1.0, "size of the cells h (m)")
     points_per_cell: int | None = natural(None, "2 in 1D, 3 in 2D")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.argumentchecks import check_kind, coordinates
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.cut.activation import Activation
@@ -112,12 +112,16 @@ def _kernel_of(matrix: PETSc.Mat, kernel: Any) -> Array | None:
 
 
 @collective(local=("kernel",))
-def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float:
+def condition_number(
+    matrix: PETSc.Mat, *, kernel: Array | None = None, scaled: bool = False
+) -> float:
     """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
 
     Args:
         matrix: Symmetric, positive semi-definite.
         kernel: Vectors to leave out, such as rigid modes, shape (owned rows, n).
+        scaled: Whether to scale rows and columns first, so that the diagonal is 1. Then it is the
+            condition number that iterations with Jacobi's preconditioner have.
 
     Returns:
         The ratio, or inf if the smallest eigenvalue is zero or negative.
@@ -140,6 +144,8 @@ def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float
     n = matrix.getSize()[0]
     if n == 0:
         raise ParameterError("a matrix without rows has no condition number; activate points first")
+    if truth("scaled", scaled):
+        matrix, kernel = _with_unit_diagonal(matrix, kernel)
     if n > DENSE_LIMIT:
         low, high = _ends(matrix, kernel)
     elif kernel is None or kernel.shape[1] == 0:
@@ -153,6 +159,26 @@ def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float
         values = linalg.eigvalsh(0.5 * (A + A.T))
         low, high = values[0], values[-1]
     return float(high / low) if low > 0 else math.inf
+
+
+def _with_unit_diagonal(matrix: PETSc.Mat, kernel: Array | None) -> tuple[PETSc.Mat, Array | None]:
+    """D^-½ A D^-½ with the diagonal D of A, and its kernel D^½ z. Collective.
+
+    Raises:
+        ParameterError: A diagonal entry is not positive.
+    """
+    diagonal = matrix.getDiagonal()
+    _, least = diagonal.min()
+    if not least > 0:
+        raise ParameterError(
+            f"the matrix has {least:g} on its diagonal, and cannot be scaled to a diagonal of 1: "
+            "leave out scaled=True"
+        )
+    root = np.sqrt(diagonal.array_r)
+    diagonal.array[:] = 1.0 / root
+    matrix = matrix.copy()
+    matrix.diagonalScale(diagonal, diagonal)
+    return matrix, None if kernel is None else root[:, None] * kernel
 
 
 def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:

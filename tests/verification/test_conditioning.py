@@ -206,6 +206,30 @@ def test_condition_numbers_of_known_matrices():
     assert study.condition_number(matrix_of(A)) == pytest.approx(exact, rel=1e-6)
 
 
+@pytest.mark.parametrize("limit", [2000, 3])
+def test_scaled_matrices_forget_the_size_of_their_unknowns(monkeypatch, limit):
+    monkeypatch.setattr("dolfinmpm.solve.spectra.DENSE_LIMIT", limit)
+    n = 12
+    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    exact = study.condition_number(matrix_of(K))
+    d = 10.0 ** np.linspace(-2, 2, n)
+    matrix = matrix_of(K * np.outer(d, d))
+    assert study.condition_number(matrix) > 1e4 * exact
+    for _ in range(2):
+        # the matrix itself stays
+        kappa = study.condition_number(matrix, scaled=True)
+        assert kappa == pytest.approx(exact, rel=1e-6)
+    # a free chain: the kernel is scaled, too
+    K[0, 0] = K[-1, -1] = 1
+    root = np.sqrt(np.diag(K))
+    values = np.linalg.eigvalsh(K / np.outer(root, root))
+    chain = matrix_of(K * np.outer(d, d))
+    kappa = study.condition_number(chain, kernel=(1 / d)[:, None], scaled=True)
+    assert kappa == pytest.approx(values[-1] / values[1], rel=1e-6)
+    with pytest.raises(ParameterError, match="has -1 on its diagonal"):
+        study.condition_number(matrix_of(np.diag([-1.0, 1.0])), scaled=True)
+
+
 @pytest.mark.parametrize("limit", [2000, 10])
 def test_lanczos_finds_what_all_eigenvalues_say(monkeypatch, limit):
     """A free chain of springs, its translation left out."""
