@@ -18,7 +18,7 @@ from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.collision import BodiesAtSides, BodyAtNodes, Collision, NodalContact
-from dolfinmpm.dynamics.energies import lateness, mapping_loss, stress_volumes
+from dolfinmpm.dynamics.energies import half_step, mapping_loss, stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, Settings
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
@@ -190,7 +190,7 @@ class CollisionSteps(ExplicitBase):
         here: Activation,
         step: ExplicitStep,
     ) -> None:
-        """Add the works of a step, and find the lateness of its velocities. Collective.
+        """Add the works of a step, and find the half-step energy of its velocities. Collective.
 
         Args:
             external: Work of loads and prescribed motions (J).
@@ -218,7 +218,8 @@ class CollisionSteps(ExplicitBase):
         work.losses["friction"] += friction
         work.losses["damping"] += damping
         work.losses["collision"] += collision
-        work.late = lateness(external - friction - damping, work.latest, 0.0, False)
+        net = external - friction - damping
+        work.half_step = half_step(net, work.stress_work, 0.0, False)
 
     def _load_work(self, moved: Array) -> float:
         """Work of the loads in a step (J). Collective."""

@@ -3,7 +3,8 @@
 Velocities of explicit steps are half a step behind positions. A step takes velocities from
 t − ½ Δt to t + ½ Δt by the forces at t. So the energy that it keeps is
 ½ v(t − ½ Δt) · M v(t + ½ Δt) and what is stored at t: the kinetic energy of the points' velocities
-and ½ Δt f · v, half of what the forces at t would do in the last step. With ½ v · M v alone
+and ½ Δt f · v, half of what the forces at t would do in the last step. This half-step energy is
+the kinetic energy at the time of positions less that of the velocities. With ½ v · M v alone
 energies swing by a share of the step times the frequency. (Hairer, Lubich & Wanner 2003, "Geometric
 numerical integration illustrated by the Störmer–Verlet method", doi 10.1017/S0962492902000144.)
 
@@ -28,10 +29,10 @@ from dolfinmpm.grid.tensors import invert
 
 __all__ = [
     "angular_momentum",
+    "by_contact",
     "fastest_point",
+    "half_step",
     "kinetic_energy",
-    "lateness",
-    "lateness_by_contact",
     "mapping_loss",
     "momentum_of",
     "stress_volumes",
@@ -146,17 +147,17 @@ def stress_works(H, linear, before, old, after, new):
     return at_start, at_end
 
 
-def lateness(net: float, internal: float, grid: float, stress_is_late: bool) -> float:
-    """Lateness: kinetic energy at the time of positions less that of the velocities (J).
+def half_step(net: float, internal: float, grid: float, stress_first: bool) -> float:
+    """Half-step energy: kinetic energy at the time of positions less that of the velocities (J).
 
     Args:
         net: Work of loads in the last step less the named losses in the step (J).
         internal: Work of the new stresses on the strain of the step (J).
         grid: Change of the nodes' kinetic energy in the step (J).
-        stress_is_late: Whether stress and strain are those before the motion of the points, as in
+        stress_first: Whether stress and strain are those before the motion of the points, as in
             "usf". Then velocities are half a step ahead of stress and strain.
     """
-    if stress_is_late:
+    if stress_first:
         return 1.5 * net - grid - 0.5 * internal
     return 0.5 * (net - internal)
 
@@ -180,22 +181,22 @@ def mapping_loss(old: Array, change: Array, new: Array, mass: Array, filtered: b
     return 0.5 * float(mass @ np.sum(lost * mean, axis=1))
 
 
-def lateness_by_contact(
+def by_contact(
     bodies: RigidBodies,
     contacts: Sequence[ActiveRigidContact],
     comm: MPI.Intracomm,
-    stress_is_late: bool = False,
+    stress_first: bool = False,
 ) -> tuple[float, float]:
-    """Lateness of the velocities of points and of free bodies by contact (J). Collective.
+    """Half-step energy of the velocities of points and of free bodies by contact (J). Collective.
 
     Args:
         bodies: The bodies, at their poses at the end of the step, before `commit`.
         contacts: The contacts, with the forces at the end of the step.
         comm: Communicator of the points.
-        stress_is_late: See `lateness`. Contact has the time of the positions all the same.
+        stress_first: See `half_step`. Contact has the time of the positions all the same.
     """
     own = sum(float(np.sum(one.forces * (one.x - one.corners.x))) for one in contacts)
-    points = (1.5 if stress_is_late else 0.5) * comm.allreduce(own, op=MPI.SUM)
+    points = (1.5 if stress_first else 0.5) * comm.allreduce(own, op=MPI.SUM)
     moved = 0.0
     for body in bodies.free:
         assert body.freedom is not None

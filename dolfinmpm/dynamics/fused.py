@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.dynamics.energies import lateness
+from dolfinmpm.dynamics.energies import half_step
 from dolfinmpm.dynamics.explicitbase import ExplicitStep, Settings, strain_interval
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
@@ -65,8 +65,8 @@ class FusedSteps:
         done: Sums since the last call of `work`, in this order: work of the stresses (J), work of
             loads and prescribed motions (J), path of the fastest point in a step (cells), change
             of the nodes' kinetic energy (J), losses by damping and by friction at sides of the
-            grid (J), lateness of the last velocities (J), loss by the mapping (J) and energy of the
-            start (J), see `Work`.
+            grid (J), half-step energy (J), loss by the mapping (J) and energy of the start (J); see
+            `Work`.
         at_once: Largest number of steps per call.
         instead: Reason for other steps: empty, because these steps are fused.
         sides: The argument.
@@ -100,14 +100,15 @@ class FusedSteps:
         if self._laws.kind == NEO:
             self.done[0] = self._laws.gained()
         sums = self._points.comm.allreduce(self.done, op=MPI.SUM)
-        internal, external, _, grid, damped, rubbed, late, mapped, start = map(float, sums)
+        internal, external, _, grid, damped, rubbed, half, mapped, start = map(float, sums)
         self.done[:2] = self.done[3:] = 0.0
         if self._rigid is not None:
             external, self._rigid.work = external + self._rigid.work, 0.0
         projected = self._settings.mass_scaling * mapped
-        found = Work(external, internal, grid, projected, start, late=late)
+        found = Work(external, internal, grid, projected, start, half_step=half)
         if self._rigid is not None:
-            found.late, found.late_bodies = late + self._rigid.late[0], self._rigid.late[1]
+            more, found.of_bodies = self._rigid.half_step
+            found.half_step = half + more
         found.losses["damping"], found.losses["friction"] = damped, rubbed
         return found
 
@@ -311,8 +312,8 @@ class FusedSteps:
         reason = self._passes(others, main, step, record, scatter)
         if record:
             _, external, _, grid, damped, rubbed, internal, _, _ = self.done - before
-            late = self._settings.scheme == "usf"
-            self.done[6] = lateness(external - damped - rubbed, internal, grid, late)
+            stress_first = self._settings.scheme == "usf"
+            self.done[6] = half_step(external - damped - rubbed, internal, grid, stress_first)
             if step.kick != step.dt:
                 self._points["acceleration"] *= step.dt / step.kick
         return reason

@@ -24,7 +24,7 @@ from dolfinmpm.contact.heldcorners import HeldCorners, held_components
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.contact.tunnelling import MARGIN, passed_through, travelled, unlisted_entered, within
-from dolfinmpm.dynamics.energies import lateness_by_contact
+from dolfinmpm.dynamics.energies import by_contact
 from dolfinmpm.dynamics.explicitbase import ExplicitStep
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
@@ -187,7 +187,7 @@ class RigidContacts:
 
     Attributes:
         work: Work done by the bodies since this attribute was last set (J), on all ranks.
-        late: Lateness of the velocities of points and bodies by contact (J), see `Work`.
+        half_step: Half-step energies of points and bodies by contact (J), see `Work`.
     """
 
     _displacement: DisplacementBasis
@@ -196,7 +196,7 @@ class RigidContacts:
 
     def __init__(self, bodies: RigidBodies, points: MaterialPoints, prescribed: Prescribed):
         self._bodies, self._points, self.work = bodies, points, 0.0
-        self.late = 0.0, 0.0
+        self.half_step = 0.0, 0.0
         held = HeldNodes(prescribed)
         self._near = [NeighbourList(contact, held) for contact in bodies.contacts]
         self._active: list[ActiveRigidContact] = []
@@ -248,7 +248,7 @@ class RigidContacts:
         """
         self._bodies.begin(step.dt)
         self._dt, self._kick = step.dt, step.kick
-        self._late = before
+        self._stress_first = before
         self._active = [self._made(near, before) for near in self._near]
 
     def _made(self, near: NeighbourList, all_corners: bool = False) -> ActiveRigidContact:
@@ -284,7 +284,7 @@ class RigidContacts:
     @property
     def _moving(self) -> int:
         """Column of the velocities that move: in "usf" others strain, those of the last motion."""
-        return 0 if self._late else COLUMNS[self._points.gdim].second
+        return 0 if self._stress_first else COLUMNS[self._points.gdim].second
 
     def _way(self, active: ActiveRigidContact) -> Array:
         """Displacements of corners in the step, as the points move (m), shape (m, d)."""
@@ -311,7 +311,7 @@ class RigidContacts:
 
         Args:
             way: Path of the fastest point in the step on all ranks, in cells.
-            record: Whether to find the lateness of velocities.
+            record: Whether to find the half-step energy of velocities.
 
         Returns:
             Message about wrong positions of points, or None.
@@ -340,8 +340,8 @@ class RigidContacts:
         for near, active in zip(self._near, self._active):
             near.keep(active)
         if record:
-            self.late = lateness_by_contact(
-                self._bodies, self._active, self._points.comm, self._late
+            self.half_step = by_contact(
+                self._bodies, self._active, self._points.comm, self._stress_first
             )
         self.work += self._bodies.commit(self._active)
         return None

@@ -168,7 +168,7 @@ def kernel(
         parameters_at = parameters.ctypes.data
         single, alike = which.shape[0] == 1, body.shape[0] == 0
         radial = four(0.0, 0.0, 1.0, 0.0)
-        work = outer = fastest = latest = projected = 0.0
+        work = outer = fastest = last_work = projected = 0.0
         left = behind = 0
         for k in range(3):
             g[k] = reach[k] = 0.0
@@ -354,7 +354,7 @@ def kernel(
                         if ring:
                             tau_old[p, 3] = t[2, 2]
                     if record:
-                        latest += vp * contracted(ds, t, h)
+                        last_work += vp * contracted(ds, t, h)
                         V[p] = J * vp
                         q = 1.0 if kind == SMALL else 1.0 / J
                         keep(d, stress, p, t, q)
@@ -448,7 +448,7 @@ def kernel(
         done[0] += 0.5 * dt * work
         done[1] += dt * outer
         done[2] = max(done[2], fastest)
-        done[6] += dt * latest
+        done[6] += dt * last_work
         done[7] += 0.5 * projected
         return -1, left, behind
 

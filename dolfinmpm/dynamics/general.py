@@ -28,7 +28,7 @@ from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.boundarywork import boundary_forces, pending_work, works_of_boundaries
 from dolfinmpm.dynamics.clock import velocities_at
-from dolfinmpm.dynamics.energies import lateness, lateness_by_contact, mapping_loss, stress_volumes
+from dolfinmpm.dynamics.energies import by_contact, half_step, mapping_loss, stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase, ExplicitStep, strain_by, strain_interval
 from dolfinmpm.dynamics.facesatnodes import Faces
 from dolfinmpm.dynamics.mappings import NodalMotion
@@ -158,8 +158,8 @@ class GeneralSteps(ExplicitBase):
         add_losses(work, mass, motion, self._resisting, self._at_sides, step.kick)
         self._resisting.clear()
         state.fields.update(settings.mapping.at_new_positions(new, dt))
-        boundary_work, late_work = works_of_boundaries(operator, at_start, state)
-        self._find_lateness(operator, net, grid, late_work)
+        boundary_work, at_end = works_of_boundaries(operator, at_start, state)
+        self._find_half_step(operator, net, grid, at_end)
         work.pending = pending_work(operator, at_start, dt * V_move, settings.scheme)
         of_bodies = problem.bodies.commit(problem.bodies.acting(operator))
         work.external += boundary_work + of_bodies
@@ -183,23 +183,23 @@ class GeneralSteps(ExplicitBase):
             gradient = operator.points.gradient[0] / dt
         return mapping.to_points(points, field, x_node, motion, mass, dt, 1.0, gradient)
 
-    def _find_lateness(self, operator: Operator, net: float, grid: float, late: float) -> None:
-        """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
+    def _find_half_step(self, operator: Operator, net: float, grid: float, at_end: float) -> None:
+        """Find the half-step energy of the velocities at the end of a step, see `Work`. Collective.
 
         Args:
             operator: The step's equations, at the end of the step.
             net, grid: Sums of `Work` before the step (J).
-            late: Work of the boundaries' forces at the end of the step (J).
+            at_end: Work of the boundaries' forces at the end of the step (J).
         """
         work, bodies = self._work, self._problem.bodies
-        stress_is_late = self._settings.scheme == "usf"
-        work.late = lateness(work.net - net, work.latest - late, work.grid - grid, stress_is_late)
+        usf = self._settings.scheme == "usf"
+        work.half_step = half_step(work.net - net, work.stress_work - at_end, work.grid - grid, usf)
         if bodies.contacts:
             acting, comm = bodies.acting(operator), self._problem.comm
-            more, work.late_bodies = lateness_by_contact(bodies, acting, comm, stress_is_late)
-            work.late += more
+            more, work.of_bodies = by_contact(bodies, acting, comm, usf)
+            work.half_step += more
         for term in operator.others:
-            work.late += (1.5 if stress_is_late else 0.5) * term.work_at_end()
+            work.half_step += (1.5 if usf else 0.5) * term.work_at_end()
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
         """Energy lost by the mapping in a step (J), see `Work`. Collective.

@@ -69,10 +69,9 @@ class Work:
             alone, see `dolfinmpm.dynamics.energies`. It counts as kinetic energy.
         losses: Losses by the names of `LOSSES`.
         length: Not a sum: length of the last step (s), 0 before the first step.
-        late, late_bodies: Not sums: lateness of the points and of rigid bodies. Lateness is the
-            kinetic energy at the time of positions less the kinetic energy of the velocities, see
+        half_step, of_bodies: Not sums: half-step energy of points and of rigid bodies, see
             `dolfinmpm.dynamics.energies`.
-        latest: Not a sum: work of the stresses at the end of the last step on its strains.
+        stress_work: Not a sum: work of the stresses at the end of the last step on its strains.
         pending: Not a sum: work of boundaries that counts in the next step, in "usf".
     """
 
@@ -83,9 +82,9 @@ class Work:
     start: float = 0.0
     losses: dict[str, float] = field(default_factory=lambda: dict.fromkeys(LOSSES, 0.0))
     length: float = 0.0
-    late: float = 0.0
-    late_bodies: float = 0.0
-    latest: float = 0.0
+    half_step: float = 0.0
+    of_bodies: float = 0.0
+    stress_work: float = 0.0
     pending: float = 0.0
 
     @property
@@ -102,7 +101,8 @@ class Work:
         self.start += other.start
         for name, loss in other.losses.items():
             self.losses[name] += loss
-        self.late, self.late_bodies, self.pending = other.late, other.late_bodies, other.pending
+        self.half_step, self.of_bodies = other.half_step, other.of_bodies
+        self.pending = other.pending
 
     def add_stresses(
         self, points: MaterialPoints, new: Mapping[str, Array], operator: Operator
@@ -128,18 +128,18 @@ class Work:
         both = np.array(stress_works(H, linear, before, old, after, new.get("stress", old)))
         points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.SUM)
         self.internal += 0.5 * float(both[0] + both[1])
-        self.latest = float(both[1])
+        self.stress_work = float(both[1])
 
     def values(self) -> Array:
         """The sums as a row of numbers."""
         sums = self.external, self.internal, self.grid, self.projected, *self.losses.values()
-        return np.array([*sums, self.start, self.length, self.late, self.late_bodies])
+        return np.array([*sums, self.start, self.length, self.half_step, self.of_bodies])
 
     def take(self, values: Array) -> None:
         """Restore sums returned by `values`."""
         self.external, self.internal, self.grid, self.projected = map(float, values[:4])
         self.losses = dict(zip(LOSSES, map(float, values[4:-4])))
-        self.start, self.length, self.late, self.late_bodies = map(float, values[-4:])
+        self.start, self.length, self.half_step, self.of_bodies = map(float, values[-4:])
 
 
 @dataclass(frozen=True)
@@ -256,9 +256,9 @@ class Ledger:
         if self._set_by_user(kinetic):
             # changed velocities count as velocities at the present time
             first["kinetic"] += kinetic - self._last
-            late = (self.work.late + self.work.start) / self.mass_scaling
-            first["initial"] += kinetic - self._last - late
-            self.work.late = self.work.start = 0.0
+            half = (self.work.half_step + self.work.start) / self.mass_scaling
+            first["initial"] += kinetic - self._last - half
+            self.work.half_step = self.work.start = 0.0
         self._last = kinetic
 
     def _set_by_user(self, kinetic: float) -> bool:
@@ -321,9 +321,9 @@ class Ledger:
         if first["started"] and self._changes.found():
             self._account(own)
         # velocities changed by the user count as velocities at the present time
-        late = (work.late + work.start) / self.mass_scaling if not self._set_by_user(own) else 0.0
-        kinetic = own + late
-        bodies, (contact, rubbed) = self._bodies.kinetic() + work.late_bodies, self._touching()
+        half = 0.0 if self._set_by_user(own) else (work.half_step + work.start) / self.mass_scaling
+        kinetic = own + half
+        bodies, (contact, rubbed) = self._bodies.kinetic() + work.of_bodies, self._touching()
         contact += self._bodies.stored
         if not first["started"]:
             whole = kinetic + strain + bodies + contact
@@ -341,7 +341,7 @@ class Ledger:
             losses["projection"] = work.grid - self.mass_scaling * gained
         if self.mass_scaling != 1.0:
             # scaled inertia has more energy than the mass
-            losses["mass scaling"] = (self.mass_scaling - 1.0) * (gained + late)
+            losses["mass scaling"] = (self.mass_scaling - 1.0) * (gained + half)
         known = kinetic + strain + bodies + contact + sum(losses.values())
         initial = first["initial"] + (self._bodies.given or 0.0)
         losses["integrator"] = self.whole - known
