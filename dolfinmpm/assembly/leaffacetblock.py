@@ -274,7 +274,11 @@ class LeafFacetBlock:
         }
 
     def set_state(self, state: dict[str, npt.NDArray]) -> None:
-        """Keep the tensors that `state` returned, and no others."""
+        """Keep the tensors that `state` returned, and no others.
+
+        Those of another basis or kind of stabilisation are not kept, and are computed anew.
+        """
+        state = state if self._fits(state) else {}
         self._values, self._tensors, self._penalties = state.get("constants"), {}, {}
         m, start = 2 * (self._space.basis.degree + 1) ** self._space.grid.geometry.dim, 0
         of_all = (state.get(name, ()) for name in ("scales", "codes", "pairs"))
@@ -285,6 +289,14 @@ class LeafFacetBlock:
             self._tensors[float(scale), np.ascontiguousarray(code).tobytes()] = tensor
             start = end
         self._penalties = dict(zip(self._tensors, map(np.copy, state.get("penalties", ()))))
+
+    def _fits(self, state: dict[str, npt.NDArray]) -> bool:
+        """Whether a state is that of a form with as many moduli, in functions of this degree."""
+        if "codes" not in state:
+            return False
+        width = 1 + 4 * self._space.grid.geometry.dim * self._space.basis.degree
+        moduli = len(self.moduli)
+        return state["codes"].shape[1] == width and state["penalties"].shape[1] == moduli
 
 
 def only_over(form: ufl.Form, kind: str, number: int) -> bool:

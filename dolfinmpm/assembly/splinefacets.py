@@ -338,7 +338,12 @@ class FacetBlock:
         }
 
     def set_state(self, state: dict[str, npt.NDArray]) -> None:
-        """Keep the tensors that `state` returned, and no others."""
+        """Keep the tensors that `state` returned, and no others.
+
+        Those of a form with other moduli are not kept, and are computed anew.
+        """
+        if any(shape[0] != 1 + len(self.moduli) for shape in state.get("shapes", ())):
+            state = {}
         self._kept = kept = _KeptTensors(state.get("constants"))
         start = 0
         for code, shape in zip(state.get("codes", ()), state.get("shapes", ())):

@@ -14,7 +14,6 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import (
     ConflictingConditionsError,
-    ParameterError,
     UnsupportedGridError,
     raise_together,
 )
@@ -24,11 +23,9 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.activecells import active_nodes
-from dolfinmpm.grid.linecells import coordinate_rounding
-from dolfinmpm.grid.sides import side_of
-from dolfinmpm.grid.userfunctions import call_function, choose
+from dolfinmpm.cut.conditionsonleaves import on_leaves
 
-__all__ = ["EssentialConditions", "nodes_at_side", "on_leaves", "renumbered"]
+__all__ = ["EssentialConditions", "renumbered"]
 
 Basis = LatticeBasis | LinearBasis | LeafBasis
 Flags = npt.NDArray[np.bool_]
@@ -36,6 +33,9 @@ Array = npt.NDArray[np.float64]
 
 # Number of bases, with overlap and partition, whose flags are kept
 _KEPT = 8
+# Two values of a node agree up to this share of the largest value that conditions of the field
+# prescribe: functions of position round, as cos(pi / 2) does
+_AGREE = 1e-12
 
 
 def renumbered(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArray[Any]:
@@ -188,12 +188,13 @@ class EssentialConditions:
             return self._fixed[key], self._still[key]
         fixed, values = [], []
         error: Exception | None = None
-        for space, basis in zip(self._spaces, bases):
+        for space, basis, rounding in zip(self._spaces, bases, self._roundings()):
             leaves = isinstance(basis, LeafBasis)
             base = basis if leaves else space.basis
             shape = (base.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
-            error = self._apply(space, base, (share, level), flags, numbers) or error
+            shares = share, level, float(rounding)
+            error = self._apply(space, base, shares, flags, numbers) or error
             fixed.append(flags if leaves else renumbered(flags, base, basis))
             values.append(numbers if leaves else renumbered(numbers, base, basis))
         raise_together(self._spaces[0].grid.comm, error)
@@ -318,8 +319,10 @@ class EssentialConditions:
     def _apply(self, space: Space, basis: Basis, shares, flags, values) -> Exception | None:
         """Set masks and values at the own nodes of this rank; returns a contradiction or None.
 
-        On leaves they are set at all nodes that this rank knows.
+        On leaves they are set at all nodes that this rank knows. `shares` are those of `at`, and
+        the largest difference of values that agree.
         """
+        *shares, rounding = shares
         owner = np.full(flags.shape, -1, np.int32)
         error = None
         limit = basis.nodes.size if isinstance(basis, LeafBasis) else basis.nodes.owned
@@ -331,7 +334,8 @@ class EssentialConditions:
             column, own = condition.component, condition.nodes < limit
             nodes = condition.nodes[own]
             value = np.broadcast_to(self._value(condition, *shares), condition.nodes.shape)[own]
-            differs = flags[nodes, column] & (values[nodes, column] != value)
+            apart = np.abs(values[nodes, column] - value) > rounding
+            differs = flags[nodes, column] & apart
             clash = nodes[differs]
             if clash.size and error is None:
                 x = basis.node_coordinates()[clash[0], : space.grid.geometry.dim]
@@ -346,6 +350,15 @@ class EssentialConditions:
             owner[nodes, column] = number
         return error
 
+    def _roundings(self) -> Array:
+        """Largest difference of values that agree, per field. Collective."""
+        sizes = np.zeros(len(self._spaces))
+        for k, space in enumerate(self._spaces):
+            own = (c.values for c in self.conditions if c.space is space)
+            sizes[k] = max((float(np.abs(v).max(initial=0.0)) for v in own), default=0.0)
+        self._spaces[0].grid.comm.Allreduce(MPI.IN_PLACE, sizes, op=MPI.MAX)
+        return _AGREE * sizes
+
     def _value(self, condition: Condition, share: float, level: float) -> Array:
         """Value of a condition at a share of the step; see `at`."""
         now = condition.values
@@ -356,45 +369,3 @@ class EssentialConditions:
         constants = enumerate(self._constants)
         old = self._reached[next(k for k, one in constants if one is condition.value)]
         return np.asarray(old + level * (now - old))
-
-
-def nodes_at_side(basis: LeafBasis, axis: int, end: int) -> npt.NDArray[np.int32]:
-    """Nodes of leaves at a side of the grid, among all nodes that this rank knows, shape (n,).
-
-    For splines these are the functions that do not vanish at the side.
-
-    Args:
-        basis: The basis on the leaves.
-        axis, end: Direction of the side's normal, and 0 for its lower or 1 for its upper end.
-    """
-    line, x = basis.lattice.lines[axis], basis.node_coordinates()[:, axis]
-    chosen = np.abs(x - line[-end]) <= coordinate_rounding(line[0], line[-1])
-    return np.flatnonzero(chosen).astype(np.int32)
-
-
-def on_leaves(condition: Condition, basis: LeafBasis) -> Condition:
-    """The condition with its nodes and values on the present leaves.
-
-    Args:
-        condition: A condition of a refined space.
-        basis: The basis on the leaves.
-
-    Raises:
-        ParameterError: Its values were given as one number per node of the grid.
-    """
-    x = basis.node_coordinates()[:, : basis.grid.geometry.dim]
-    if callable(condition.chooses):
-        chosen = choose("the function of places", condition.chooses, x)
-        nodes = np.flatnonzero(chosen).astype(np.int32)
-    else:
-        nodes = nodes_at_side(basis, *side_of(condition.chooses, x.shape[1])[1:])
-    value = condition.value
-    if condition.function is not None:
-        what = f"the {condition.kind} prescribed at '{condition.where}'"
-        value = call_function(what, condition.function, x[nodes])
-    elif not isinstance(value, fem.Constant) and np.ndim(value) > 0:
-        raise ParameterError(
-            f"the {condition.kind} prescribed at '{condition.where}' is one number per node of the "
-            "grid, and the nodes of a refined space change: give a function of positions"
-        )
-    return replace(condition, nodes=nodes, value=value)

@@ -20,7 +20,8 @@ from dolfinmpm.basis import LeafBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.essentialconditions import nodes_at_side, renumbered
+from dolfinmpm.cut.conditionsonleaves import nodes_at_side
+from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.cut.tiedsides import TiedSides
 from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks

@@ -29,7 +29,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import UNSET, MaterialPoints, PointField
 from dolfinmpm.cut.activation import Activation, ActiveField, Field, movers
 from dolfinmpm.cut.activecells import active_nodes, active_on_grid
-from dolfinmpm.cut.essentialconditions import on_leaves
+from dolfinmpm.cut.conditionsonleaves import on_leaves
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.formchecks import check_moving
 from dolfinmpm.grid.constants import is_own

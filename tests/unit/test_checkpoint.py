@@ -221,3 +221,48 @@ def test_a_run_that_is_killed_goes_on_bit_for_bit():
     assert figures["kills"] == 20
     assert figures["in writing"] > 0
     assert figures["same bits"]
+
+
+@pytest.mark.parametrize(
+    ("levels", "basis", "other", "factor"),
+    [
+        (0, "gimp", "gimp", "adaptive"),
+        (1, "gimp", "gimp", "adaptive"),
+        (1, "gimp", "bspline2", 100.0),
+    ],
+)
+def test_another_basis_or_penalty_goes_on_with_tensors_of_its_own(
+    levels, basis, other, factor, tmp_path
+):
+    """Of one modulus in place of two, or of other functions: they had ended in a reshape."""
+
+    def made(basis, factor):
+        grid = mpm.create_lattice(COMM, [np.arange(0, 3.1, 1.0)] * 2)
+
+        def size(x):
+            return np.where(x[0] < 1, 0.5, 1.0) * 1.001
+
+        V = mpm.Space(grid, basis, **({"refine": size, "levels": 1} if levels else {}))
+        points = mpm.fill(grid, mpm.Box((0, 0), (2, 1.3)), 2, 1.0, refine=V)
+        F = mpm.momentum(mpm.materials.Hencky(1e4, 0.3), points, V.increment, V.test)
+        load = fem.Constant(grid, (0.0, 0.0))
+        F -= ufl.inner(load, V.test) * points.dX
+        ghost = mpm.Stabilisation("ghost", factor=factor)
+        bcs = mpm.fixed(V, "bottom")
+        return mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=ghost), load
+
+    found = []
+    for k in range(2):
+        problem, load = made(other, 1.0 if other == basis else factor)
+        if k:
+            first, _ = made(basis, factor if other == basis else 1.0)
+            first.step()
+            first.save(tmp_path / "first.npz")
+            with pytest.warns(mpm.errors.DifferentProblemWarning):
+                problem.load(tmp_path / "first.npz")
+        else:
+            problem.step()
+        load.value[1] = -10.0
+        problem.step()
+        found.append(problem.points["x"].copy())
+    assert np.abs(found[1] - found[0]).max() < 1e-12

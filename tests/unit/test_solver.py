@@ -144,6 +144,11 @@ def test_conflicting_conditions():
             points,
             mpm.fixed(V, "bottom") + mpm.prescribed(V, "left", 0, increment=0.1),
         )
+    # rounded values of functions agree: cos(pi / 2) is 6e-17
+    agreeing = mpm.rollers(V, "left") + mpm.prescribed(
+        V, "top", 0, increment=lambda x: 0.1 * np.cos(np.pi / 2 * (1 - x[0]))
+    )
+    mpm.QuasiStatic(F, V.increment, points, agreeing)
     with pytest.raises(ParameterError, match="side = 'north'"):
         mpm.fixed(V, "north")
     with pytest.raises(ParameterError, match="component = 2"):
