@@ -292,7 +292,7 @@ class LeafFacetBlock:
 
     def _fits(self, state: dict[str, npt.NDArray]) -> bool:
         """Whether a state is that of a form with as many moduli, in functions of this degree."""
-        if "codes" not in state:
+        if "scales" not in state:  # that of a problem without leaves has none
             return False
         width = 1 + 4 * self._space.grid.geometry.dim * self._space.basis.degree
         moduli = len(self.moduli)

@@ -246,10 +246,16 @@ class LeafBasis:
         return rows, stencil_matrix(s, s.N, (rows.size, self.nodes.size))
 
     def _inwards(self, at: Array, x: Array, half: Array) -> Array:
-        """Positions in domains, moved off the ends of the domains by more than rounding (m)."""
-        cells = self.cells_at(x)
-        low, high = (corner[cells] for corner in self._box)
-        rounding = 4 * coordinate_rounding(low, high, SNAP)
+        """Positions in domains, moved off the ends of the domains by more than rounding (m).
+
+        The search for leaves begins in the roots, and rounds by their sizes.
+        """
+        rounding = np.empty_like(x)
+        for d, line in enumerate(self.lattice.lines):
+            ends = np.searchsorted(line, [x[:, d] - half[:, d], x[:, d] + half[:, d]], "right")
+            low = line[np.maximum(ends[0] - 1, 0)]
+            high = line[np.minimum(ends[1], line.size - 1)]
+            rounding[:, d] = 4 * coordinate_rounding(low, high, SNAP)
         inside = np.maximum(half - rounding, 0.5 * half)
         return np.clip(at, x - inside, x + inside)
 

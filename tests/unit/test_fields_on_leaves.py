@@ -129,3 +129,26 @@ def test_leaves_of_any_size_give_their_first_guess():
         rows, _ = basis.values_at(basis.node_coordinates()[:, :2])
         assert rows.size == basis.nodes.size
     assert iterations[0] == iterations[1]
+
+
+@pytest.mark.parametrize("kind", ["surface", "footing", "plane"])
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_faces_on_a_line_of_the_grid_are_in_the_smallest_leaves(basis, kind):
+    """Rounding of roots, which are larger than leaves, had put such faces beyond all leaves."""
+    grid = mpm.create_lattice(MPI.COMM_SELF, [np.arange(0, 2.0), np.arange(0, 4.0)])
+    V = mpm.Space(grid, basis, refine=lambda x: np.full(x.shape[1], 0.1251), levels=3)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 2)), per_cell=2, density=1.0, refine=V)
+    u, v, p, E = V.increment, V.test, 1e3, 1e6
+    F = mpm.momentum(mpm.materials.Hencky(E, 0.0), points, u, v, strain="small")
+    top = mpm.Surface(points, lambda x: x[1] > 2 - 1e-9, normal=(0, 1))
+    if kind == "surface":
+        F += top.traction(fem.Constant(grid, (0.0, -p)), v)
+    elif kind == "footing":
+        settlement = fem.Constant(grid, 2 * p / E)
+        F += mpm.RigidFooting(top, settlement, E=E, rough=False).contact(u, v)
+    else:
+        plane = mpm.RigidBody(mpm.Plane((0, 2), (0, -1)), increment=(0.0, -2 * p / E))
+        F += mpm.contact(plane, points, u, v, penalty=1e6)
+    bcs = mpm.rollers(V, "left", "right", "bottom")
+    mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost").step()
+    assert np.abs(points["stress"][:, 1, 1] / p + 1).max() < 1e-4
