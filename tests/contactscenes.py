@@ -98,8 +98,8 @@ def is_hit(law=ELASTIC, **options):
     return mpm.Explicit(F, u, points, mpm.fixed(V, "bottom"), **options)
 
 
-def is_ploughed(law=CLAY, **options):
-    """A wedge is pushed into clay and dragged through it, turning."""
+def is_ploughed(law=CLAY, limit=None, **options):
+    """A wedge is pushed into clay and dragged through it, turning; `limit` is that of its shear."""
     grid = grid_of((-1, 0), (1, 1.25), (16, 10))
     points, V, F = body(grid, mpm.Box((-1, 0), (1, 0.75)), law, "gimp")
     wedge = mpm.RigidBody(
@@ -107,7 +107,8 @@ def is_ploughed(law=CLAY, **options):
         angular_velocity=np.degrees(0.5), name="wedge",
         velocity=lambda t: (0.0, -4.0) if t < 0.02 else (4.0, 0.0),
     )  # fmt: skip
-    F += mpm.contact(wedge, points, V.increment, V.test, friction=0.3, penalty=6.25)
+    rubs = {"friction": 0.3, "shear_limit": limit}
+    F += mpm.contact(wedge, points, V.increment, V.test, penalty=6.25, **rubs)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     return mpm.Explicit(F, V.increment, points, bcs, **options)
 

@@ -22,7 +22,7 @@ from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, Rows, Which
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.heldcorners import HeldCorners, growth_of, overlap_of
 from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
-from dolfinmpm.contact.sharedsurface import areas_at_end, areas_at_start
+from dolfinmpm.contact.sharedsurface import areas_at_end, areas_at_start, domains_at_start
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.tunnelling import (
     candidates,
@@ -63,6 +63,7 @@ class ActiveRigidContact(ActiveContact):
         x: Last computed positions of the corners (m), shape (m, gdim).
         local_start: Positions at the start of the step in the frame of the body (m), shape
             (m, gdim).
+        domains: Domains at the start of the step, see `domains_at_start`.
         start: State of the corners at the start of the step.
         now: Forces on the corners.
         held: Overlap of corners that a fixed side of the grid holds, or None.
@@ -90,6 +91,7 @@ class ActiveRigidContact(ActiveContact):
             self._near_corners(c.x, math.inf)
         self.x: Array = c.x.copy()
         self.now = ContactForces.zero(*c.x.shape)
+        self.domains = domains_at_start(self)
         self.start = self._at_start(displacement.growth is not None)
         self._explicit = mean_weights is None and displacement.growth is not None
         if contact.body.time == 0.0 and not contact.begun:

@@ -154,8 +154,26 @@ class CornerLayout:
         areas = face_areas(points["l0"][rows], normal)
         return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
 
+    def half_edges(self, rows: Rows) -> Array:
+        """Half edges of the domains of points at this moment (m), shape (m, gdim, gdim).
+
+        The column k is the half edge along the axis k of the domain.
+
+        Args:
+            rows: The points, shape (m,).
+        """
+        points = self._points
+        axes = np.eye(points.gdim)[None]
+        if self.boxes:
+            half = points["l"][rows]
+        elif self._keeps_axes:
+            half = update_domains(self._F[rows], points["l0"][rows], self._displacement.domains)
+        else:
+            half, axes = points["l0"][rows], self._F[rows]
+        return np.asarray(axes * half[:, None, :])
+
     def surface_parts(
-        self, rows: Rows, which: Rows, normal: Array, gap: Array
+        self, rows: Rows, which: Rows, normal: Array, gap: Array, edges: Array | None = None
     ) -> tuple[Array, Array]:
         """Parts of the rigid surface that corners cover; see `slip_parts`. Not of marked faces.
 
@@ -163,19 +181,17 @@ class CornerLayout:
             rows, which: Point of each corner, and number at its point, shape (m,).
             normal: Normal of the rigid surface at each corner, shape (m, gdim).
             gap: Gaps of the corners (m), shape (m,).
+            edges: The half edges of each corner's domain, see `half_edges`; those of this moment
+                by default.
         """
-        points = self._points
-        along, axes = normal, np.eye(points.gdim)[None]
-        if self.boxes:
-            half = points["l"][rows]
-        elif self._keeps_axes:
-            half = update_domains(self._F[rows], points["l0"][rows], self._displacement.domains)
-        else:
-            half, axes = points["l0"][rows], self._F[rows]
-            along = self._in_material(rows, normal)
-        at = places_on_faces(along) if self.on_faces else np.ones_like(half)
-        signs = side_signs(points.gdim)[which]
-        return slip_parts(axes * half[:, None, :], normal, signs, at, gap)
+        edges = self.half_edges(rows) if edges is None else edges
+        at = np.ones_like(normal)
+        if self.on_faces:
+            along = normal
+            if not (self.boxes or self._keeps_axes):
+                along = self._in_material(rows, normal)
+            at = places_on_faces(along)
+        return slip_parts(edges, normal, side_signs(self._points.gdim)[which], at, gap)
 
     def _in_material(self, rows: Rows, normal: Array) -> Array:
         """Normals in the frame of the points' material, of any length."""

@@ -32,7 +32,13 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.cornerareas import part_areas
 from dolfinmpm.contact.corners import longest
 
-__all__ = ["TouchingCorners", "areas_at_end", "areas_at_start", "shared_areas"]
+__all__ = [
+    "TouchingCorners",
+    "areas_at_end",
+    "areas_at_start",
+    "domains_at_start",
+    "shared_areas",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -85,6 +91,23 @@ class TouchingCorners:
         return TouchingCorners(*joined), slice(first, first + len(self.sides))
 
 
+def domains_at_start(active: Any) -> tuple[Array, Array] | None:
+    """Domains of the corners' points, for `areas_at_end`; None where corners share no surface.
+
+    Fused steps change the domains before the areas are found, other steps do so after it.
+
+    Args:
+        active: The contact, an `ActiveRigidContact`.
+
+    Returns:
+        Half edges (m), shape (m, d, d), and longest sides of the points' domains (m), shape (m,).
+    """
+    contact, rows = active.contact, active.corners.rows
+    if not contact.shares_surface:
+        return None
+    return active.layout.half_edges(rows), 2.0 * longest(contact.points["l"][rows])
+
+
 def areas_at_start(active: Any, normal: Array, gap: Array) -> Array:
     """Areas A of the corners of an `ActiveRigidContact` in a step (m^(d-1)), shape (m,).
 
@@ -115,10 +138,10 @@ def areas_at_end(active: Any) -> Array:
     x, rows, which = active.x[c], active.corners.rows[c], active.corners.which[c]
     gap, normal, _ = contact.body.surface.probe(pose.back(x))
     normal = pose.directions(normal)
-    middles, parts = active.layout.surface_parts(rows, which, normal, gap)
+    edges, sides = active.domains
+    middles, parts = active.layout.surface_parts(rows, which, normal, gap, edges[c])
     places = x - gap[:, None] * normal + middles
-    sides = 2.0 * longest(points["l"][rows])
-    touching = TouchingCorners(places, normal, parts, sides, forces[c])
+    touching = TouchingCorners(places, normal, parts, sides[c], forces[c])
     area[c] = shared_areas(touching, points)
     return area
 

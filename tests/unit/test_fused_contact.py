@@ -83,6 +83,17 @@ def test_a_wedge_is_dragged_through_clay():
     assert np.abs(problem.points[contact.names.tangential_force]).max() > 0
 
 
+def test_a_limit_of_the_shear_stress_acts_on_the_same_areas():
+    """Fused steps have changed the domains of the points when they find these areas."""
+    limit = 500.0
+    problem = alike(is_ploughed, 0.08, limit=limit)
+    (contact,) = problem.bodies.contacts
+    points, names = problem.points, contact.names
+    force = np.linalg.norm(points[names.tangential_force], axis=-1)
+    area = points[names.slip_area]
+    assert np.any((area > 0) & (force > 0.99 * limit * area))
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("free", [False, True])
 def test_a_box_is_pressed_into_a_block(free):
