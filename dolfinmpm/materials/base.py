@@ -274,11 +274,14 @@ class Law(Parametrised):
         if self.has_moduli:
             lmbda, mu = self._lame(parameters)
             return np.stack([lmbda + 2 * mu, mu], axis=1)
-        _, found = self.evaluated(strain, self.unyielding(internal), parameters)
-        tangent = found.tangent
+        tangent = self.elastic_tangent(strain, internal, parameters)
         along = np.einsum("pii->p", tangent) / 3
         across = (tangent.sum(axis=(1, 2)) - 3 * along) / 6
         return np.stack([along, 0.5 * (along - across)], axis=1)
+
+    def elastic_tangent(self, strain: Array, internal: Array, parameters: Array) -> Array:
+        """Elastic derivative of the stress by the strain (Pa), shape (n, 3, 3); see `moduli`."""
+        return self.evaluated(strain, self.unyielding(internal), parameters)[1].tangent
 
     def unyielding(self, internal: Array) -> Array:
         """Internal variables that extend the elastic response beyond the yield surface.

@@ -124,15 +124,13 @@ class EnergyWithYield(Law):
             self.strengths = ("yield_stress",)
         super().__init__(**values)
         self._keep: list[Any] = []
-        self._compile(energy, yield_function, potential or yield_function)
+        self._compile(yield_function, potential or yield_function)
         if not self.varies:
             self._check_isotropy()
 
-    def _compile(self, energy, yield_function, potential) -> None:
+    def _compile(self, yield_function, potential) -> None:
         """Compile values and derivatives; see `return_kernel` for their outputs."""
-        elastic, (strain, _) = self._of(energy, "energy")
-        stress = [ufl.diff(elastic, e) for e in strain]
-        functions = [[*stress, *(ufl.diff(s, e) for s in stress for e in strain)]]
+        functions = [self._elastic()]
         if yield_function is not None:
             f, (tau, alpha) = self._of(yield_function, "yield function")
             slopes = [ufl.diff(f, t) for t in (*tau, alpha)]
@@ -213,6 +211,31 @@ class EnergyWithYield(Law):
     def _energy_program(self) -> Program:
         energy, _ = self._of(self._functions["energy"], "energy")
         return compile_here([energy], self._z)
+
+    def elastic_tangent(self, strain: Array, internal: Array, parameters: Array) -> Array:
+        """Second derivatives of ψ (Pa), shape (n, 3, 3).
+
+        The tangent of the law would not do: on the yield surface rounding decides whether it is
+        the elastic or the plastic one.
+        """
+        z = np.zeros((len(strain), 4 + len(self.parameters)))
+        z[:, :3], z[:, 4:] = strain, parameters
+        return self._elastic_program.values(z)[:, 3:].reshape(-1, 3, 3)
+
+    def stiffness(self, strain: Array, internal: Array, parameters: Array) -> Array:
+        """Largest elastic stiffness along one axis (Pa), shape (n,): waves unload; see `Law`."""
+        tangent = self.elastic_tangent(strain, internal, parameters)
+        return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
+
+    @functools.cached_property
+    def _elastic_program(self) -> Program:
+        return compile_here([expand_derivatives(e) for e in self._elastic()], self._z)
+
+    def _elastic(self) -> list[Expr]:
+        """Stresses and their derivatives by the strains."""
+        energy, (strain, _) = self._of(self._functions["energy"], "energy")
+        stress = [ufl.diff(energy, e) for e in strain]
+        return [*stress, *(ufl.diff(s, e) for s in stress for e in strain)]
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """Yield function f of principal Kirchhoff stresses, shape (n,); see `Law`."""

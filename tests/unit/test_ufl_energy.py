@@ -228,3 +228,21 @@ def test_no_stress_is_an_error_with_a_name():
     gone = EnergyWithYield(hencky, hardening_cone, **ELASTIC, eta=0.0, k=1e3, a=1.0, H=-1e5)
     with pytest.raises(StateError, match="finds no stress at point 1"):
         gone.respond([[1e-6, 0.0, 0.0], [0.5, -0.5, 0.0]])
+
+
+def test_moduli_are_elastic_where_points_have_yielded():
+    """Rounding had decided between the elastic and the plastic tangent, for wave speeds, too."""
+
+    def energy(e, K, G):
+        return (K / 2 - G / 3) * sum(e) ** 2 + G * ufl.inner(e, e)
+
+    K, G = 8e5, 4e5
+    law = mpm.materials.EnergyWithYield(energy, yield_stress=2e4, K=K, G=G)
+    trial = 0.03 * np.random.default_rng(0).standard_normal((200, 3))
+    end = law.respond(trial)
+    assert np.mean(end.internal > 0) > 0.5
+    parameters = law.parameter_array(None)
+    M = K + 4 * G / 3
+    found = law.moduli(end.strain, end.internal, parameters)
+    np.testing.assert_allclose(found, np.broadcast_to([M, G], found.shape))
+    np.testing.assert_allclose(law.stiffness(end.strain, end.internal, parameters), M)
