@@ -102,7 +102,8 @@ class TimeStepping(MovingBody, QuasiStatic):
         self.essential_conditions.read = as_read(bcs)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         if self.form.has_rates:
-            # forces at the start of a step have no increments, and so no rates
+            # forces at the start of a step have no increments, and so neither rates nor the
+            # acceleration: M a = f would leave out the inertia of the form's own terms
             scheme.rule = rule = replace(rule, by_forces=False)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, direct=True)
         refuse_constraints(faces, self.fields)

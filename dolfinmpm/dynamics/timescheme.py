@@ -221,6 +221,8 @@ class NewmarkScheme(TimedScheme):
         self._load_at(problem, step, 0.0)
         scale = step.dt / step.share
         rates = velocities_at(problem, here, step, lambda v: v(step.start) * scale)
+        # the accelerations of the last step are no forces at the start of this one
+        self._carry_accelerations(problem, here, None)
         motion.to_grid(here, problem.form, step, rates)
         self._load_at(problem, step, 1 - rule.alpha_f)
         conditions = problem.essential_conditions
@@ -239,11 +241,20 @@ class NewmarkScheme(TimedScheme):
         return Operator(problem.form, here, more if dashpots is None else [*more, dashpots])
 
     def _carry_accelerations(
-        self, problem: Any, here: Activation, known: Mapping[int, Array]
+        self, problem: Any, here: Activation, known: Mapping[int, Array] | None
     ) -> None:
-        """Set the points' field of accelerations at the start of a step, if the form has it."""
+        """Set the points' field of accelerations at the start of a step, if the form has it.
+
+        Args:
+            problem: The problem.
+            here: The activation.
+            known: Accelerations of the nodes (m/s²) by field; None for zero.
+        """
         for field in problem.form.parts.carried:
             if isinstance(field, StartAcceleration):
+                if known is None:
+                    problem.points[field.name][:] = 0.0
+                    continue
                 for one in self.motion.nodes:
                     rows = rows_within(problem.points, one.tags)
                     found = collect(here.fields[one.k].stencils, known[one.k])

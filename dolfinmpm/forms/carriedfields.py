@@ -108,7 +108,9 @@ def acceleration(points: MaterialPoints, u: Any) -> Expr:
     The acceleration is interpolated from the nodes, at the level at which a step's forces balance.
     The inertial forces of the problem are then Σ m a·v. The acceleration is `points.inertia` u +
     a₀, so that tangents contain its dependence on the increment u. `Newmark` and
-    `GeneralisedAlpha` set `points.inertia` and a₀ by their rules.
+    `GeneralisedAlpha` set `points.inertia` and a₀ by their rules. They have the inertia of
+    `density` themselves: a term with the acceleration in the equation of motion is an added mass.
+    The first step of such a problem begins with M a = f without the added mass.
 
     Args:
         points: Material points.
@@ -117,7 +119,7 @@ def acceleration(points: MaterialPoints, u: Any) -> Expr:
     Raises:
         ParameterError: u is no increment of a displacement of these points.
 
-    The inertial force of the body, as `Newmark` has it:
+    Water around the body moves with it, an added mass of 500 kg/m³ that has no weight:
 
     >>> import dolfinmpm as mpm
     >>> from mpi4py import MPI
@@ -126,9 +128,9 @@ def acceleration(points: MaterialPoints, u: Any) -> Expr:
     >>> V = mpm.Space(grid, "gimp")
     >>> import ufl
     >>> a = mpm.acceleration(points, V.increment)
-    >>> inertia = points.density * ufl.inner(a, V.test) * points.dX
-    >>> a.ufl_shape
-    (2,)
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> F += 500.0 * ufl.inner(a, V.test) * points.dX
+    >>> problem = mpm.Newmark(F, V.increment, points)
     """
     check_points(points)
     check_displacement(points, u=u)

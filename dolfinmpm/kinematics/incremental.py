@@ -245,8 +245,9 @@ class Incremental(StrainFormulation):
             return f"det ΔF = {det:.4g} of the increment turns the point {number} inside out"
         one = slice(row, row + 1)
         state = ", ".join(f"{k} = {v:g}" for k, v in zip(self.law.internal, self.internal(one)[0]))
+        advice = "" if status[0] == 4 else ". Take smaller steps"
         return (
             f"{self.law!r} {FAILURES[int(status[0])]} at point {number}: increment "
             f"{H.reshape(d, d).tolist()}, stress {self.points['stress'][row].tolist()} Pa, "
-            f"{state or 'no state variables'}. Take smaller steps"
+            f"{state or 'no state variables'}{advice}"
         )

@@ -179,7 +179,8 @@ def umat_kernel(d: int, components: int, jaumann: bool):
                 continue
             if jaumann:
                 D_at = kept.ctypes.data + 8 * (q * kept.shape[1] + kept_D)
-                put_tangent(d, m, D_at, w, scale, e, sigma, B, Fi, J, flux, A, p)
+                shear = kept[q, kept_D + 3 * m + 3]
+                put_tangent(d, m, D_at, shear, w, scale, e, sigma, B, Fi, J, flux, A, p)
             else:
                 put_small_tangent(d, m, kept, kept_D, q, A, p)
         return -1

@@ -73,12 +73,13 @@ def _by_turns(m, D, w, scale, e, sigma, part, T, out):
 
 
 @numba.njit(**INLINE)
-def put_tangent(d, m, D_at, w, scale, e, sigma, B, Fi, J, S, A, p):
+def put_tangent(d, m, D_at, G, w, scale, e, sigma, B, Fi, J, S, A, p):
     """Write the derivative of S = J σ ΔF⁻ᵀ by H with Jaumann's rate.
 
     Args:
         d, m: Dimension, and NTENS.
         D_at: Address of DDSDDE (Pa), column by column; four numbers behind it may be read.
+        G: DDSDDE of the fourth component (Pa).
         w, scale: See `spin`.
         e, sigma: Strain increment, and the new stress (Pa).
         B, Fi: (1 + H/2)⁻¹ and ΔF⁻¹.
@@ -121,12 +122,16 @@ def put_tangent(d, m, D_at, w, scale, e, sigma, B, Fi, J, S, A, p):
                 for j in range(d):
                     total = axpy(B[s, j], half[r * d + j], total)
                 store(slope_at + 8 * (8 * (r * d + s) + 4 * part), total)
-    _to_flux(d, m, slope, Fi, J, S, A, p)
+    _to_flux(d, m, slope, G, Fi, J, S, A, p)
 
 
 @numba.njit(**INLINE)
-def _to_flux(d, m, slope, Fi, J, S, A, p):
-    """Write J (δσ − σ ΔF⁻ᵀ δHᵀ) ΔF⁻ᵀ; see `put_tangent` for the arguments."""
+def _to_flux(d, m, slope, G, Fi, J, S, A, p):
+    """Write J (δσ − σ ΔF⁻ᵀ δHᵀ) ΔF⁻ᵀ; see `put_tangent` for the arguments.
+
+    NTENS = 4 in three dimensions is axisymmetry. No shear 13 and 23 occurs there, but penalties
+    take moduli from all components: these two get the stiffness of 12.
+    """
     dd = d * d
     C, g = vectors(6), matrix(3, 9)
     q = 1.0 / J
@@ -134,7 +139,8 @@ def _to_flux(d, m, slope, Fi, J, S, A, p):
         for k in range(d):
             n = _component(i, k)
             for c in range(dd):
-                g[k, c] = slope[c, n] if n < m else 0.0
+                out_of_plane = n >= m and (c == i * d + k or c == k * d + i)
+                g[k, c] = slope[c, n] if n < m else (G if out_of_plane else 0.0)
             # δΔF⁻ᵀ = −ΔF⁻ᵀ δHᵀ ΔF⁻ᵀ
             for s in range(d):
                 g[k, k * d + s] -= q * S[i, s]
@@ -157,11 +163,15 @@ def _to_flux(d, m, slope, Fi, J, S, A, p):
 
 @numba.njit(**INLINE)
 def put_small_tangent(d, m, D, at, q, A, p):
-    """Write DDSDDE, at a column of row q of D, as the derivative by H with small strain."""
+    """Write DDSDDE, at a column of row q of D, as the derivative by H with small strain.
+
+    For the shear 13 and 23 of NTENS = 4 see `_to_flux`.
+    """
     for i in range(d):
         for j in range(d):
             for r in range(d):
                 for s in range(d):
                     k, n = _component(i, j), _component(r, s)
+                    G = D[q, at + 3 * m + 3] if k == n else 0.0
                     known = k < m and n < m
-                    A[p, i * d + j, r * d + s] = D[q, at + n * m + k] if known else 0.0
+                    A[p, i * d + j, r * d + s] = D[q, at + n * m + k] if known else G

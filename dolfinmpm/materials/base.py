@@ -7,7 +7,7 @@ compiled loop serves all laws.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -176,6 +176,11 @@ class Law(Parametrised):
     def declared_internal(self, parameters: Array) -> Array:
         """See `first_internal`; without a trial of the kernel."""
         names = list(self.parameters)
+        if not isinstance(self.internal, Mapping):
+            raise ParameterError(
+                f"{type(self).__name__}: internal = {shown(self.internal)} must be a dictionary, "
+                'such as {"plastic_strain": ("", 0.0)}'
+            )
         first = np.empty((len(parameters), len(self.internal)))
         for k, (name, declared) in enumerate(self.internal.items()):
             unit, value = declared if isinstance(declared, tuple) else (None, None)

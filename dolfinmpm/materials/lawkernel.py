@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dis
 import functools
 import inspect
 import operator
@@ -132,7 +133,7 @@ def law_kernel(function: Callable) -> Kernel:
         function: The function.
 
     Raises:
-        ParameterError: The argument is not a function of six pointers.
+        ParameterError: The argument is not a function of six pointers, or it raises or prints.
 
     A law without shear stiffness, τ_i = K tr ε. The function can be tried before it is compiled:
 
@@ -156,7 +157,22 @@ def law_kernel(function: Callable) -> Kernel:
             f"function = {shown(function)} must take six arrays, parameters, strain, old, new, "
             f"stress and tangent: {error}"
         ) from None
+    _refuse_python(function)
     return Kernel(function)
+
+
+def _refuse_python(function: Callable) -> None:
+    """Refuse what a C function cannot do: an exception is lost, and print ends the program."""
+    code = getattr(function, "__code__", None)
+    for step in dis.get_instructions(code) if code is not None else ():
+        found = None
+        if step.opname == "RAISE_VARARGS":
+            found = "raises or asserts", "return 1 where the strain admits no stress"
+        elif step.argval == "print" and step.opname.startswith("LOAD"):
+            found = "prints", "call the function itself, with lists, to look at its numbers"
+        if found is not None:
+            name = function.__name__
+            raise ParameterError(f"the kernel {name} {found[0]}, as no C function can: {found[1]}")
 
 
 @intrinsic

@@ -52,6 +52,12 @@ def weakened(law: Law, parameters: Array, factor: float) -> Array:
             "give factor_of_safety a function of the factor that builds the body anew"
         )
     names = list(law.parameters)
+    unknown = [name for name in (*law.strengths, *law.friction_angles) if name not in names]
+    if unknown:
+        raise ParameterError(
+            f"{type(law).__name__}: strengths and friction_angles name {unknown[0]!r}, which is "
+            f"none of its parameters: {', '.join(names)}"
+        )
     values: dict[str, npt.NDArray[Any]] = dict(zip(names, parameters[:, : len(names)].T.copy()))
     for name in law.strengths:
         values[name] = values[name] / factor if factor else np.full(len(parameters), _ENDLESS)

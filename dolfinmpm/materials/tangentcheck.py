@@ -31,20 +31,39 @@ def check_law(law: Law, strain: float, tolerance: float) -> list[str]:
     trial = strain * np.random.default_rng(1).uniform(-1, 1, (_POINTS, 3))
     parameters = law.parameter_array(None)
     old = np.repeat(law.first_internal(parameters)[:1], _POINTS, axis=0)
-    _, base = law.evaluated(trial, old, parameters)
-    good: npt.NDArray[np.bool_] = np.asarray(np.isfinite(base.stress).all(axis=1))
+    stress, tangent = _responses(law, trial, old, parameters)
+    good: npt.NDArray[np.bool_] = np.asarray(np.isfinite(stress).all(axis=1))
     h, numeric, kink = strain * _STEP, np.empty((_POINTS, 3, 3)), np.zeros(_POINTS)
     for j in range(3):
-        sides = [law.evaluated(trial + s * np.eye(3)[j], old, parameters)[1] for s in (h, -h)]
-        ahead, behind = (side.stress for side in sides)
+        moved = [trial + s * np.eye(3)[j] for s in (h, -h)]
+        ahead, behind = (_responses(law, at, old, parameters)[0] for at in moved)
         good = good & np.isfinite(ahead + behind).all(axis=1)
         numeric[:, :, j] = (ahead - behind) / (2 * h)
-        kink = np.maximum(kink, np.abs(ahead - 2 * base.stress + behind).max(axis=1) / h)
+        kink = np.maximum(kink, np.abs(ahead - 2 * stress + behind).max(axis=1) / h)
     if not good.any():
         return [f"{law!r} finds no stress at any strain of the check; give a smaller strain"]
+    turned, _ = _responses(law, trial[:, [1, 2, 0]], old, parameters)
+    gap = np.abs(turned[good] - stress[good][:, [1, 2, 0]]).max()
+    # NaN, where the turned strain has no stress, is a difference, too
+    if not gap <= tolerance * np.abs(stress[good]).max():
+        return [
+            f"{law!r} depends on the order of the axes: of the same strains in another order, a "
+            f"stress differs by {gap:g} Pa. The three axes are those of the strain, in any order, "
+            "so that a law is isotropic. For other materials take a UMAT, or an energy in UFL"
+        ]
     return tangent_fault(
-        law, lambda i, j: f"tangent[{3 * i + j}]", base.tangent, numeric, kink, good, tolerance
+        law, lambda i, j: f"tangent[{3 * i + j}]", tangent, numeric, kink, good, tolerance
     )
+
+
+def _responses(law: Law, trial: Array, old: Array, parameters: Array) -> tuple[Array, Array]:
+    """Stresses and tangents of single points; NaN at a point without a stress."""
+    stress, tangent = np.full((len(trial), 3), np.nan), np.zeros((len(trial), 3, 3))
+    for p in range(len(trial)):
+        bad, found = law.evaluated(trial[p : p + 1], old[p : p + 1], parameters)
+        if bad < 0:
+            stress[p], tangent[p] = found.stress[0], found.tangent[0]
+    return stress, tangent
 
 
 def tangent_fault(

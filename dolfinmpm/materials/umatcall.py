@@ -16,7 +16,8 @@ _PNEWDT = OFFSETS["pnewdt"]
 FAILURES = {
     1: "stopped by XIT, STOP or an error at run time",
     2: "asks for a shorter step (PNEWDT < 1)",
-    3: "gives a stress that is not finite",
+    3: "gives a stress or a state variable that is not finite",
+    4: "writes behind the last number of STATEV (give more state variables by state=)",
 }
 
 

@@ -41,6 +41,8 @@ SHIM = f"""\
 
 {_AT}
 
+#define GUARDS 16 /* numbers behind STATEV */
+
 typedef double real;
 
 extern void umat_(
@@ -52,7 +54,8 @@ extern void umat_(
 static jmp_buf place;
 static int inside = 0;
 
-/* 0, or 1 where the UMAT has called XIT or has stopped, or 2 where it asks for a shorter step */
+/* 0, or 1 where the UMAT has called XIT or has stopped, or 2 where it asks for a shorter step, or 4
+   where it writes behind STATEV. The guards are -0.0: they add nothing, and 0.0 has other bits. */
 int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
 {{
     char cmname[80];
@@ -61,6 +64,11 @@ int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
     real rpl = 0.0, drpldt = 0.0, ddsddt[6] = {{0}}, drplde[6] = {{0}};
     real temp = 0.0, dtemp = 0.0, predef[1] = {{0}}, dpred[1] = {{0}};
     real own[nprops > 0 ? nprops : 1]; /* some UMATs write into PROPS */
+    real state[nstatv + GUARDS], guards[GUARDS];
+    for (int i = 0; i < GUARDS; ++i)
+        guards[i] = -0.0;
+    memcpy(state, STATEV, nstatv * sizeof(real));
+    memcpy(state + nstatv, guards, sizeof(guards));
     memcpy(own, props, nprops * sizeof(real));
     memcpy(cmname, name, 80);
     inside = 1;
@@ -68,11 +76,14 @@ int dolfinmpm_umat(real *w, real *props, const int64_t *n, const char *name)
         inside = 0;
         return 1;
     }}
-    umat_(STRESS, STATEV, DDSDDE, ENERGIES, ENERGIES + 1, ENERGIES + 2, &rpl, ddsddt, drplde,
+    umat_(STRESS, state, DDSDDE, ENERGIES, ENERGIES + 1, ENERGIES + 2, &rpl, ddsddt, drplde,
           &drpldt, STRAN, DSTRAN, TIME, DTIME, &temp, &dtemp, predef, dpred, cmname, &ndi, &nshr,
           &ntens, &nstatv, own, &nprops, COORDS, DROT, PNEWDT, CELENT, DFGRD0, DFGRD1, &noel,
           &one, &one, &one, steps, &one, (size_t)80);
     inside = 0;
+    memcpy(STATEV, state, nstatv * sizeof(real));
+    if (memcmp(state + nstatv, guards, sizeof(guards)))
+        return 4;
     return *PNEWDT < 1.0 ? 2 : 0;
 }}
 

@@ -122,13 +122,14 @@ class WeakForm:
 
     @cached_property
     def has_rates(self) -> bool:
-        """Whether forces that move points have rates over `points.dt`."""
-        if self.points.dt not in extract_constants(self.given):
+        """Whether forces that move points have rates over `points.dt`, or accelerations."""
+        timed = {self.points.dt, self.points.inertia}
+        if timed.isdisjoint(extract_constants(self.given)):
             return False
         own = movers(self.spaces)
         others = [space.test for k, space in enumerate(self.spaces) if k not in own]
         rest = ufl.replace(self.given, {q: ufl.zero(q.ufl_shape) for q in others})
-        return self.points.dt in extract_constants(rest)
+        return not timed.isdisjoint(extract_constants(rest))
 
     def add(self, term: Term) -> None:
         """Add a term outside the UFL form, such as the mass."""

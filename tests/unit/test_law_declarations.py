@@ -6,6 +6,7 @@ import pytest
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials import Law, Parameter
+from dolfinmpm.materials.strength import weakened
 
 
 def test_laws_of_ones_own_that_are_incomplete_are_refused():
@@ -17,7 +18,15 @@ def test_laws_of_ones_own_that_are_incomplete_are_refused():
         ({"parameters": ["E"]}, "must be a dictionary"),
         ({"parameters": {"E": 1.0}}, "must be a dictionary"),
         ({"parameters": modulus, "internal": {"a": 0.0}}, r"internal\['a'\] = 0.0 must be a unit"),
+        ({"parameters": modulus, "internal": ["a"]}, "internal = .* must be a dictionary"),
         ({"parameters": modulus, "internal": {"a": ("Pa", "c")}}, "one of the parameters E"),
     ):
         with pytest.raises(ParameterError, match=told):
             type("Own", (Law,), declared)(E=1.0).respond([[0.0, 0.0, 1.0]])
+
+
+def test_a_strength_that_is_no_parameter_is_told():
+    declared = {"parameters": {"E": Parameter("Pa", low=0.0)}, "strengths": ("cohesion",)}
+    law = type("Own", (Law,), declared)(E=1.0)
+    with pytest.raises(ParameterError, match="'cohesion', which is none of its parameters: E"):
+        weakened(law, law.parameter_array(None), 1.2)

@@ -107,3 +107,64 @@ def test_a_wrong_tangent_is_told():
 )
 def test_tangents_of_the_library_pass(law):
     assert law.check() == []
+
+
+@law_kernel
+def refusing_tension(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = parameters[0] * strain[i]
+        for j in range(3):
+            tangent[3 * i + j] = 2.0 * parameters[0] * (i == j)
+    return int(strain[0] + strain[1] + strain[2] > 0.0)
+
+
+@law_kernel
+def layered(parameters, strain, old, new, stress, tangent):
+    """Twice as stiff along the first axis."""
+    for i in range(3):
+        stiffness = parameters[0] * (2.0 if i == 0 else 1.0)
+        stress[i] = stiffness * strain[i]
+        for j in range(3):
+            tangent[3 * i + j] = stiffness * (i == j)
+    return 0
+
+
+@law_kernel
+def adding(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = parameters[0] * strain[i] + parameters[1]
+        for j in range(3):
+            tangent[3 * i + j] = parameters[0] * (i == j)
+    return 0
+
+
+def test_the_check_goes_on_after_a_strain_without_a_stress():
+    (fault,) = own(refusing_tension).check()
+    assert "has a wrong tangent" in fault
+    (fault,) = own(refusing).check()
+    assert "finds no stress at any strain" in fault
+
+
+def test_the_check_finds_a_law_that_is_not_isotropic():
+    (fault,) = own(layered).check()
+    assert "depends on the order of the axes" in fault
+
+
+def test_a_sum_with_a_number_beyond_the_parameters_is_a_read():
+    with pytest.raises(UserLawError, match="reads beyond its arrays: `stress` depends"):
+        own(adding).respond([[0.0, 0.0, 0.0]])
+
+
+def test_what_python_alone_can_do_is_refused():
+    def raising(parameters, strain, old, new, stress, tangent):
+        if strain[0] > 1.0:
+            raise ValueError("too large")
+        return 0
+
+    def printing(parameters, strain, old, new, stress, tangent):
+        print(strain[0])
+        return 0
+
+    for kernel, told in ((raising, "raises or asserts.* return 1"), (printing, "prints")):
+        with pytest.raises(ParameterError, match=told):
+            law_kernel(kernel)

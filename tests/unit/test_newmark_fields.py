@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import ufl
 from conftest import COMM
-from dolfinx import mesh
+from dolfinx import fem, mesh
 from test_newmark import QUADRILATERAL
 
 import dolfinmpm as mpm
@@ -71,3 +72,25 @@ def test_fields_that_are_coupled():
             problem.step(t)
         kept[bulk] = np.abs(points["x"] - points["x0"]).max()
     assert kept[1e7] < 0.2 * kept[1.0]
+
+
+@pytest.mark.parametrize("mass", ["consistent", "lumped"])
+def test_a_mass_that_a_term_adds(mass):
+    """Of as much mass as the body has: the acceleration is half as large in every later step."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (5, 8)], (5, 8), QUADRILATERAL)
+    points = mpm.fill(grid, mpm.Box((1.1, 2.3), (3.53, 4.9)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v, g = V.increment, V.test, fem.Constant(grid, (0.0, 10.0))
+    F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, u, v)
+    F += 1000.0 * ufl.inner(mpm.acceleration(points, u), v) * points.dX
+    F -= ufl.inner(points.density * g, v) * points.dX
+    problem = mpm.Newmark(F, u, points, mass=mass, stabilisation="ghost")
+    speeds = []
+    for k in range(10):
+        # the load jumps in the sixth step
+        g.value[1] = 10.0 if k < 5 else -10.0
+        problem.step(0.01 * (k + 1))
+        speeds.append(points["velocity"][:, 1].copy())
+    gains = np.diff(speeds, axis=0)
+    np.testing.assert_allclose(gains[[0, 1, 2, 3]], 0.05, rtol=1e-6)
+    np.testing.assert_allclose(gains[5:], -0.05, rtol=1e-6)

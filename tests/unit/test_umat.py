@@ -9,6 +9,7 @@ from mpi4py import MPI
 from umats import ELASTIC, NEEDS_FORTRAN, bodies, column, umat, written
 
 import dolfinmpm as mpm
+from dolfinmpm.cut.facetmoduli import isotropic_moduli
 from dolfinmpm.kinematics import strain_formulation
 from dolfinmpm.kinematics.strainformulation import symmetric
 
@@ -61,6 +62,22 @@ def test_stress_and_tangent_are_those_of_the_built_in_law(dim, strain, law):
         found.append((S, A, new["stress"], *[new[k] for k in ("plastic_strain",) if k in new]))
     for own, exact in zip(*found):
         assert np.abs(own - exact).max() < 1e-12 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("strain", ["jaumann", "small"])
+@pytest.mark.parametrize("law", PAIRS)
+def test_moduli_of_penalties_are_those_of_the_built_in_law_in_axisymmetry(law, strain):
+    """NTENS = 4 has no shear out of the section, and an isotropic law has the same there."""
+    found = []
+    for points, make in zip(bodies("axisymmetric"), PAIRS[law]):
+        formulation = strain_formulation(make(), points, strain)
+        formulation.bind()
+        n = len(points)
+        S, A = np.empty((n, 9)), np.empty((n, 9, 9))
+        H = np.tile(1e-6 * np.diag([1.0, -2.0, 0.5]).ravel(), (n, 1))
+        assert formulation.evaluate(H, S, A, np.arange(n, dtype=np.int32)) == -1
+        found.append(isotropic_moduli(A.reshape(n, 3, 3, 3, 3)))
+    np.testing.assert_allclose(*found, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,17 @@ def test_a_call_that_fails_in_a_step_is_told(tmp_path, trouble, told):
         column(law, mpm.QuasiStatic)
 
 
+@pytest.mark.parametrize("trouble", ["statev(2) = 1d0", "statev(2) = statev(2) + 0d0"])
+@pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Explicit])
+def test_a_write_behind_the_state_is_told_in_a_step(tmp_path, kind, trouble):
+    """As where soil yields, which the first call does not reach."""
+    body = f"{ELASTIC}  if (stress(2) < -1d3) {trouble}"
+    law = written(tmp_path, body, state=1)
+    assert law.check(stress=0.0) == []
+    with pytest.raises(mpm.errors.DolfinMPMError, match=r"behind the last number of STATEV \(give"):
+        column(law, kind)
+
+
 @pytest.mark.parametrize(
     ("body", "state", "told"),
     [
