@@ -294,7 +294,7 @@ INPUTS = {
     "study.draw_convergence(axes(), ROWS)": "curves = ",
     'study.draw_convergence(axes(), {"a": ROWS}, key="nope")': "no row has a figure 'nope'",
     'study.draw_convergence(axes(), {"a": ROWS}, orders="12")': "orders = '12' must be slopes",
-    "study.draw_convergence(axes(), {})": "curves = a dict must be a dictionary, such as",
+    "study.draw_convergence(axes(), {})": "curves = {}, which is empty, must be a dictionary",
     "study.draw_reduction(axes(), ROWS)": "no row has a figure 'factor'; there are h, error",
     "study.draw_reduction(axes(), [])": "no row has a figure 'factor'; there are no rows",
     "study.draw_sweep(axes(), ROWS)": "no row has a figure 'kappa_K'; there are h, error",

@@ -78,7 +78,8 @@ def check_dictionary(what: str, value: Any, kind: str, *, some: bool = False) ->
         some: Whether it must not be empty.
     """
     if not isinstance(value, Mapping) or (some and not value):
-        raise ParameterError(f"{what} = {shown(value)} must be a dictionary{kind}")
+        told = "{}, which is empty," if isinstance(value, Mapping) else shown(value)
+        raise ParameterError(f"{what} = {told} must be a dictionary{kind}")
 
 
 def check_names(what: str, names: Iterable[str], known: Iterable[str], of: str) -> None:

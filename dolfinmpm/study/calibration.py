@@ -208,7 +208,9 @@ def calibrate(
     r, slopes, figures = residuals.run(found.x)
     fit = _judged(residuals, found, r, slopes, figures, data, confidence)
     fit.notes += _ends(residuals, found.x, r, slopes, limits)
-    if found.status == 0:
+    if found.status != 0:
+        fit.notes += residuals.stopped(found.x, r, slopes, limits)
+    else:
         fit.notes.append(
             f"the best of max_runs = {max_runs} runs, and no best fit: intervals do not hold; give "
             "more runs, a better start, or a larger tolerance"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,7 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
 
-__all__ = ["doubtful", "rounded_away", "too_steep", "without_effect"]
+__all__ = ["doubtful", "rounded_away", "rounded_contacts", "too_steep", "without_effect"]
 
 Array = npt.NDArray[np.float64]
 # Values of the figures after each step, and their derivatives by the parameters
@@ -21,6 +22,8 @@ Found = Mapping[str, Mapping[str, Sequence[Array]]]
 _DOUBTFUL = 1e-3
 # Share of the changes of positions by the perturbation that is told as lost in their rounding
 _LOST = 1e-5
+# The same for the overlap with a rigid body, whose force has fewer digits than positions
+_LOST_FORCE = 1e-4
 # Derivative over the figure from which the figure is hardly one of the parameters alone
 _STEEP = 1e3
 
@@ -45,6 +48,43 @@ def rounded_away(base: FollowedRun, pairs: Sequence[FollowingRuns]) -> list[str]
         f"them by {moved:.1g} m: derivatives may have errors of {lost / moved:.0e}; larger "
         "perturbations have more digits, such as central=True with epsilon=1e-5"
     ]
+
+
+def rounded_contacts(base: FollowedRun, pairs: Sequence[FollowingRuns]) -> list[str]:
+    """Notes about stiff contacts, whose overlaps are lost in the rounding of positions. Collective.
+
+    A force is a stiffness times an overlap d. Positions x are rounded by some 1e-16 |x|, and the
+    perturbation changes d by some ε d, so that derivatives of forces have errors of the ratio.
+
+    Args:
+        base: The run, after its last step.
+        pairs: The runs that follow.
+    """
+    notes, perturbation = [], min(pair.epsilon for pair in pairs)
+    for points in {id(problem.points): problem.points for problem in base.problems}.values():
+        read = points.fields.read
+        for name in [n for n in points.fields if n.endswith("_normal_force")]:
+            of = name.removesuffix("_normal_force")
+            if f"{of}_stiffness" not in points.fields:
+                continue
+            force = read(name)
+            touches = force.max(axis=1, initial=0.0) > 0.0
+            stiffness = np.where(force > 0.0, read(f"{of}_stiffness"), 0.0)
+            place = float(np.abs(read("x")[touches]).max(initial=0.0))
+            sums = base.comm.allreduce(np.array([force.sum(), stiffness.sum()]), op=MPI.SUM)
+            place = base.comm.allreduce(place, op=MPI.MAX)
+            if not sums.all():
+                continue
+            # root mean square of an even rounding, which errs by up to half a last digit
+            overlap, lost = sums[0] / sums[1], np.finfo(float).eps * place / math.sqrt(12.0)
+            error = lost / (perturbation * overlap)
+            if error > _LOST_FORCE:
+                notes.append(
+                    f"{of}: bodies overlap by {overlap:.1g} m, and positions are rounded to "
+                    f"{lost:.1g} m: derivatives of its forces may have errors of {error:.0e}; take "
+                    "a smaller stiffness, or central=True with epsilon=1e-5"
+                )
+    return notes
 
 
 def without_effect(found: Found, names: Sequence[str]) -> list[str]:

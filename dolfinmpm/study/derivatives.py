@@ -22,7 +22,13 @@ from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import RunState
-from dolfinmpm.study.derivativenotes import doubtful, rounded_away, too_steep, without_effect
+from dolfinmpm.study.derivativenotes import (
+    doubtful,
+    rounded_away,
+    rounded_contacts,
+    too_steep,
+    without_effect,
+)
 from dolfinmpm.study.derivativerestart import Savepoints
 from dolfinmpm.study.followingruns import FollowedRun, FollowingRuns
 from dolfinmpm.study.scenerun import Scene
@@ -230,6 +236,7 @@ def differentiate(
         {k: {m: np.array(v) for m, v in by.items()} for k, by in found[0].items()},
         [text for pair in sets[0] for text in pair.told()]
         + rounded_away(base, sets[0])
+        + rounded_contacts(base, sets[0])
         + without_effect(found[0], list(sizes))
         + too_steep(figures, found[0], sets[0])
         + doubtful(errors),

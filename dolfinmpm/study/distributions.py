@@ -138,6 +138,13 @@ def _values(name: str, given: Any) -> Callable[[Array], Array]:
             f"distributions['{name}'] = {shown(given)} must be a study.Normal, a study.LogNormal, "
             "or a distribution of OpenTURNS"
         )
+    if (size := given.getDimension()) != 1:
+        raise ParameterError(
+            f"distributions['{name}'] is one of {size} numbers, and must be one of a single "
+            "number: give each parameter its own distribution; let the scene make correlated ones "
+            "of independent study.Normal() z1 and z2, such as "
+            "a = mean + deviation * (r * z1 + sqrt(1 - r**2) * z2)"
+        )
 
     def quantiles(z: Array) -> Array:
         from scipy.special import ndtr

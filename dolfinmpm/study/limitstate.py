@@ -111,7 +111,7 @@ class LimitState:
             m = self._named(x)
             # a small deviation of a large value would be lost in its rounding
             scales = {k: max(abs(size), _LEAST * abs(m[k])) for k, size in self._sizes.items()}
-            found = differentiate(self._built, m, scales=scales, central=False)
+            found = differentiate(self._built, m, scales=scales)
             self._keep(x, *call_together(self._comm, lambda: self._last(found)))
             self.runs[0] += 1
         slopes = self._runs[x.tobytes()][1]

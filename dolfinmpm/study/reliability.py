@@ -22,6 +22,10 @@ Array = npt.NDArray[np.float64]
 
 # Digits of one-sided differences: no design point is known better
 _DIGITS = 1e-6
+_UNCHANGED = (
+    "does the scene take them from its argument? The least of several figures does not change "
+    "where two of them are equal: give one of them"
+)
 
 
 @dataclass
@@ -93,6 +97,22 @@ class Reliability:
         axes.set_xlabel(f"share of the variance; β = {self.beta:.3f}")
 
 
+def _made(name: str, given: Any) -> Any:
+    """The distribution of OpenTURNS of a parameter.
+
+    Raises:
+        ParameterError: It is not continuous.
+    """
+    if isinstance(given, (Normal, LogNormal)):
+        return given.made()
+    if not given.isContinuous():
+        raise ParameterError(
+            f"distributions['{name}'] is not continuous, as FORM needs it: sample it with "
+            "study.monte_carlo"
+        )
+    return given
+
+
 def _first_guess(back: Any, normal: Array, limit: str, value: float) -> Any:
     """Values of the parameters at a point of standard normal space.
 
@@ -144,8 +164,8 @@ def _shortfalls(u: Array, slope: Array, value: float, limit: str, tolerance: flo
         )
     advice = (
         f" (tolerance {tolerance:g}): the search has not converged, and beta may be wrong. Give "
-        "more iterations, a limit that crosses zero and has no kinks, or sample it with "
-        "study.monte_carlo"
+        "a smaller tolerance, more iterations, a limit that crosses zero and has no kinks, or "
+        "sample it with study.monte_carlo"
     )
     return [note + advice for note in notes]
 
@@ -202,7 +222,7 @@ def reliability(
     number("tolerance", tolerance, 1e-12, 0.1)
     checked(distributions)
     whole("max_iterations", max_iterations, 1)
-    each = [d.made() if isinstance(d, (Normal, LogNormal)) else d for d in distributions.values()]
+    each = [_made(name, given) for name, given in distributions.items()]
     sizes = {k: float(d.getStandardDeviation()[0]) for k, d in zip(distributions, each)}
     middle = [float(d.computeQuantile(0.5)[0]) for d in each]
     g = LimitState(scene, limit, sizes)
@@ -214,7 +234,10 @@ def reliability(
     slope = np.array(back.gradient(origin)) @ g.gradient(middle)
     square, value = float(slope @ slope), g(middle)
     if square == 0.0:
-        raise ParameterError(f"limit = '{limit}' depends on none of {', '.join(distributions)}")
+        raise ParameterError(
+            f"limit = '{limit}' changes with none of {', '.join(distributions)} at the medians: "
+            f"{_UNCHANGED}"
+        )
     ask = ot.AbdoRackwitz()
     ask.setStartingPoint(_first_guess(back, -value / square * slope, limit, value))
     for name in ("IterationNumber", "CallsNumber"):

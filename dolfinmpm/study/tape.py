@@ -285,6 +285,8 @@ class FollowingNewton(Newton):
             return super().solve(operator)
         known = stage.outcome
         if known.reason is not None:
+            # who tells why a step failed looks at terms, which know no increments so far
+            operator.move_to_zero()
             return Outcome(known.reason, np.zeros(operator.here.unknowns.owned), known.iterations)
         x = known.x.copy()
         if stage.tangent is not None:
@@ -321,6 +323,8 @@ class FollowingBordered(Bordered):
         if stage is None:
             return super().solve(operator)
         known, at, border = stage.outcome, stage.border, self.border
+        if known.reason is not None:
+            operator.move_to_zero()
         if known.reason is not None or stage.tangent is None or at is None:
             return Outcome(known.reason, known.x.copy(), known.iterations, list(known.residuals))
         border.begin(operator)

@@ -24,6 +24,11 @@ __all__ = ["WeightedResiduals"]
 
 Array = npt.NDArray[np.float64]
 
+# Distance of a coordinate from its bound that counts as none, share of the largest singular value
+# that counts as zero, and fall of the sum of squares that a best fit does not leave: as a share of
+# the sum, and per residual that is exact but for rounding
+_AT_BOUND, _UNTOLD, _FALL, _EXACT = 0.05, 1e-7, 0.01, 1e-10
+
 
 class WeightedResiduals:
     """Weighted residuals and their derivatives; both come from one run.
@@ -141,6 +146,36 @@ class WeightedResiduals:
         if self._say is not None:
             self._say(row)
         return residuals, slopes, figures
+
+    def stopped(self, x: Array, r: Array, slopes: Array, limits: tuple[Array, Array]) -> list[str]:
+        """Note about a run that is the best one only because runs beside it fail, in words.
+
+        SciPy's iterations shorten the step until it is too small to count. Then the misfit would
+        still fall by the derivatives, as it does at no best fit.
+
+        Args:
+            x: Coordinates of the best run, shape (p,).
+            r: Its residuals over `unit`, shape (n,).
+            slopes: Their derivatives by the coordinates, shape (n, p).
+            limits: Least and largest coordinates, shape (p,) each.
+        """
+        failed = [row["failed"] for row in self.trace if row["failed"]]
+        # a parameter at its bound is held there
+        free = np.minimum(x - limits[0], limits[1] - x) > _AT_BOUND
+        if not failed or not free.any():
+            return []
+        step = np.linalg.lstsq(slopes[:, free], -r, rcond=_UNTOLD)[0]
+        left, square = r + slopes[:, free] @ step, float(r @ r)
+        fall = square - float(left @ left)
+        if not fall > max(_FALL * square, _EXACT * r.size):
+            return []
+        misfits = [self.unit * float(np.sqrt(np.mean(values**2))) for values in (r, left)]
+        return [
+            f"runs beside the best one fail, the last with '{failed[-1]:.100}', and by its "
+            f"derivatives the misfit {misfits[0]:.3g} would fall to {misfits[1]:.3g} beyond: this "
+            "is no best fit, and intervals do not hold; give another start or bounds, or compare "
+            "figures from before the failure"
+        ]
 
     def _weighted(self, found: Derivatives) -> tuple[Array, Array]:
         """Residuals over `unit`, shape (n,), and their derivatives, shape (n, p)."""

@@ -110,6 +110,21 @@ def test_a_run_that_fails_shortens_the_step(exact):
         study.calibrate(never, {"E": 1.0}, {"y": [1.0]})
 
 
+def test_a_fit_that_ends_beside_runs_that_fail(exact):
+    """The best run is one beside which others fail, and no best fit."""
+
+    def fragile(m):
+        if m["E"] < 14e3:
+            raise ConvergenceError("too soft")
+        return yielding({**TRUTH, **m})
+
+    fit = study.calibrate(fragile, {"E": 40e3}, exact, tolerance=1e-3)
+    assert fit.parameters["E"] == pytest.approx(14e3, rel=0.05)
+    (note,) = fit.notes
+    assert "runs beside the best one fail, the last with 'too soft'" in note
+    assert "no best fit, and intervals do not hold" in note
+
+
 def test_bounds_and_gaps(exact):
     gaps = {"motion": np.where(np.arange(5)[:, None] == 2, np.nan, exact["motion"])}
     elastic = {k: TRUTH[k] for k in ("yield", "nu")}

@@ -67,6 +67,13 @@ def test_derivatives_are_differences_of_whole_runs(name):
     assert largest_error(name, SHORT[name]) < bound
 
 
+@pytest.mark.parametrize("fbar", [True, "volumes"])
+def test_a_step_that_is_halved_with_means_over_cells(fbar):
+    scene = functools.partial(column, steps=1, gravity=-100.0, fbar=fbar)
+    found = study.differentiate(scene, CASES["elastic"][1])
+    assert max(errors_of(scene, CASES["elastic"][1], found).values()) < 1e-6
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_derivatives_of_all_examples(name):

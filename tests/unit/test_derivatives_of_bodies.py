@@ -101,3 +101,32 @@ def test_the_load_of_a_footing_has_digits_enough():
     errors = errors_of(pressed, parameters, found, 1e-3)
     assert max(errors.values()) < 2e-6
     assert not found.notes
+    # a limit state takes the same two runs, at the perturbation of a footing
+    gradient = study.LimitState(pressed, "load", parameters).gradient([1e6, 0.3])
+    wanted = [by[-1] / parameters[m] for m, by in found.derivatives["load"].items()]
+    np.testing.assert_allclose(gradient, wanted, rtol=1e-6)
+
+
+def test_forces_of_a_stiff_contact_that_lose_digits_are_told():
+    """Overlaps of 1e-5 m, where places are of 1 m: the derivative of the force was off by 2e-4."""
+
+    def pushed(m, stiffness):
+        grid = grid_of((3.0, 2.0), (12, 8))
+        points = mpm.fill(grid, mpm.Box((0.5, 0), (2.5, 1.2)), 2, 2000.0)
+        V = mpm.Space(grid, "gimp")
+        u, v = V.increment, V.test
+        wall = mpm.RigidBody(mpm.Plane((0, 1.2), (0.0, -1.0)), increment=(0.0, -m["way"]))
+        F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+        F += mpm.contact(wall, points, u, v, stiffness_per_area=stiffness)
+        bcs = mpm.fixed(V, "bottom")
+        problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-10)
+        return study.Run(problem, [problem.step] * 2, {"force": lambda: wall.force[1]})
+
+    for stiffness, central, told in ((1e8, None, 0), (1e9, None, 1), (1e9, True, 0)):
+        options = {"central": central, "epsilon": 1e-5} if central else {}
+        scene = partial(pushed, stiffness=stiffness)
+        found = study.differentiate(scene, {"way": 0.002}, **options)
+        assert len(found.notes) == told
+        assert all("bodies overlap by" in note for note in found.notes)
+        error = max(errors_of(scene, {"way": 0.002}, found, 1e-3).values())
+        assert error < (1e-3 if told else 3e-5)

@@ -335,12 +335,33 @@ def test_places_have_the_dimension_of_the_box():
 
 
 @pytest.mark.long
+def test_distributions_that_form_cannot_take(openturns):
+    correlated = openturns.Normal([30.0, 10.0], [3.0, 2.0], openturns.CorrelationMatrix(2))
+    with pytest.raises(ParameterError, match=r"\['a'\] is one of 2 numbers.*correlated ones"):
+        study.reliability(planned(lambda m: m["a"]), {"a": correlated})
+    for given in (openturns.Bernoulli(0.3), openturns.Dirac(3.0)):
+        with pytest.raises(ParameterError, match=r"\['a'\] is not continuous.*monte_carlo"):
+            study.reliability(planned(lambda m: m["a"]), {"a": given})
+
+
+def test_correlated_parameters_of_independent_numbers(openturns):
+    """a − b of means 30 and 10, deviations 3 and 2, and a correlation of 0.6."""
+    r = 0.6
+
+    def margin(m):
+        a, z = 30.0 + 3.0 * m["z1"], r * m["z1"] + math.sqrt(1 - r**2) * m["z2"]
+        return a - (10.0 + 2.0 * z)
+
+    found = study.reliability(planned(margin), {"z1": study.Normal(), "z2": study.Normal()})
+    assert found.beta == pytest.approx(20.0 / math.sqrt(9 + 4 - 2 * r * 6), rel=1e-6)
+
+
 def test_a_limit_that_is_never_reached(openturns):
     given = {"E": study.LogNormal(1e6, 0.1)}
     match = r"'margin' is 9.99005e\+08 at the medians, .* 1.01e\+04 standard deviations away"
     with pytest.raises(ConvergenceError, match=match):
         study.reliability(planned(lambda m: 1e9 - m["E"]), given)
-    with pytest.raises(ParameterError, match="limit = 'margin' depends on none of E"):
+    with pytest.raises(ParameterError, match="limit = 'margin' changes with none of E"):
         study.reliability(planned(lambda m: 1e9), given)
 
 
