@@ -63,7 +63,6 @@ class ActiveRigidContact(ActiveContact):
         x: Last computed positions of the corners (m), shape (m, gdim).
         local_start: Positions at the start of the step in the frame of the body (m), shape
             (m, gdim).
-        domains: Domains at the start of the step, see `domains_at_start`.
         start: State of the corners at the start of the step.
         now: Forces on the corners.
         held: Overlap of corners that a fixed side of the grid holds, or None.
@@ -91,7 +90,6 @@ class ActiveRigidContact(ActiveContact):
             self._near_corners(c.x, math.inf)
         self.x: Array = c.x.copy()
         self.now = ContactForces.zero(*c.x.shape)
-        self.domains = domains_at_start(self)
         self.start = self._at_start(displacement.growth is not None)
         self._explicit = mean_weights is None and displacement.growth is not None
         if contact.body.time == 0.0 and not contact.begun:
@@ -134,7 +132,7 @@ class ActiveRigidContact(ActiveContact):
         return ContactStart(
             self._probe[0], points[names.tangential_force][own], normal_force, k, multiplier,
             points[names.closing][own], contact.law.largest_slip_forces(slipping),
-            contact.water_at(c.rows, c.x) * areas,
+            contact.water_at(c.rows, c.x) * areas, domains_at_start(self),
         )  # fmt: skip
 
     def fault(self, new: NewState) -> str | None:

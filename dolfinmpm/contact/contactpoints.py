@@ -74,6 +74,8 @@ class ContactStart:
         closing: Closing of the gaps in the last step (m), shape (m,).
         limit: Largest forces of friction (N), besides those by its coefficient, shape (m,).
         water: Forces of the water in the pores, which do not rub (N), shape (m,).
+        domains: Domains of the points that share the surface of a rigid body, see
+            `dolfinmpm.contact.sharedsurface`, or None.
     """
 
     gap: Array
@@ -84,6 +86,7 @@ class ContactStart:
     closing: Array
     limit: Array
     water: Array
+    domains: tuple[Array, Array] | None = None
 
 
 @dataclass

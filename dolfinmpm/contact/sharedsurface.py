@@ -138,7 +138,7 @@ def areas_at_end(active: Any) -> Array:
     x, rows, which = active.x[c], active.corners.rows[c], active.corners.which[c]
     gap, normal, _ = contact.body.surface.probe(pose.back(x))
     normal = pose.directions(normal)
-    edges, sides = active.domains
+    edges, sides = active.start.domains
     middles, parts = active.layout.surface_parts(rows, which, normal, gap, edges[c])
     places = x - gap[:, None] * normal + middles
     touching = TouchingCorners(places, normal, parts, sides[c], forces[c])

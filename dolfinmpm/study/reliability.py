@@ -113,6 +113,26 @@ def _made(name: str, given: Any) -> Any:
     return given
 
 
+def _search(ot: Any, tolerance: float, square: float, max_iterations: int) -> Any:
+    """The search of Abdo and Rackwitz for the design point.
+
+    Args:
+        ot: OpenTURNS.
+        tolerance, max_iterations: See `reliability`.
+        square: Square of the gradient of the limit state at the medians.
+    """
+    ask = ot.AbdoRackwitz()
+    for name in ("IterationNumber", "CallsNumber"):
+        setter = getattr(ask, f"setMaximum{name}", None)
+        if setter is not None:
+            setter(max_iterations * (1 if name == "IterationNumber" else 5))
+    ask.setMaximumAbsoluteError(tolerance)
+    ask.setMaximumRelativeError(tolerance)
+    ask.setMaximumResidualError(tolerance)
+    ask.setMaximumConstraintError(tolerance * math.sqrt(square))
+    return ask
+
+
 def _first_guess(back: Any, normal: Array, limit: str, value: float) -> Any:
     """Values of the parameters at a point of standard normal space.
 
@@ -238,16 +258,8 @@ def reliability(
             f"limit = '{limit}' changes with none of {', '.join(distributions)} at the medians: "
             f"{_UNCHANGED}"
         )
-    ask = ot.AbdoRackwitz()
+    ask = _search(ot, tolerance, square, max_iterations)
     ask.setStartingPoint(_first_guess(back, -value / square * slope, limit, value))
-    for name in ("IterationNumber", "CallsNumber"):
-        setter = getattr(ask, f"setMaximum{name}", None)
-        if setter is not None:
-            setter(max_iterations * (1 if name == "IterationNumber" else 5))
-    ask.setMaximumAbsoluteError(tolerance)
-    ask.setMaximumRelativeError(tolerance)
-    ask.setMaximumResidualError(tolerance)
-    ask.setMaximumConstraintError(tolerance * math.sqrt(square))
     vector = ot.RandomVector(joint)
     event = ot.ThresholdEvent(
         ot.CompositeRandomVector(ot.Function(g.made(True)), vector), ot.Less(), 0.0
