@@ -231,7 +231,7 @@ class Law(Parametrised):
         """Largest stiffness along one axis (Pa), for wave speeds, shape (n,) or (1,).
 
         Elastic λ + 2μ of laws with Young's modulus and Poisson's ratio. For other laws it is the
-        largest stiffness of the tangent.
+        largest stiffness of the elastic tangent: waves unload points that have yielded.
 
         Args:
             strain: Elastic principal strains, shape (n, 3).
@@ -241,7 +241,7 @@ class Law(Parametrised):
         if self.has_moduli:
             lmbda, mu = self._lame(parameters)
             return lmbda + 2 * mu
-        tangent = self.evaluated(strain, internal, parameters)[1].tangent
+        tangent = self.elastic_tangent(strain, internal, parameters)
         return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
 
     def evaluated(self, strain: Array, internal: Array, parameters: Array) -> tuple[int, Response]:

@@ -222,11 +222,6 @@ class EnergyWithYield(Law):
         z[:, :3], z[:, 4:] = strain, parameters
         return self._elastic_program.values(z)[:, 3:].reshape(-1, 3, 3)
 
-    def stiffness(self, strain: Array, internal: Array, parameters: Array) -> Array:
-        """Largest elastic stiffness along one axis (Pa), shape (n,): waves unload; see `Law`."""
-        tangent = self.elastic_tangent(strain, internal, parameters)
-        return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
-
     @functools.cached_property
     def _elastic_program(self) -> Program:
         return compile_here([expand_derivatives(e) for e in self._elastic()], self._z)
