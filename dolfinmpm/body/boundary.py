@@ -78,11 +78,10 @@ class Boundary(Uncopied):
         points, follows, name, activates: The arguments.
         late: Whether the body had moved before the boundary was made.
         longest: Greatest length of the pieces beside the cells that cut them (m); 0 if not known.
-        tiles: Whether each marker is the middle of a segment with the marker's length. The
-            segments together are the boundary.
+        tiles: Whether markers are middles of segments with their lengths that cover the boundary.
         removed: Positions of points removed since the last step; see `leave_with_removed`.
-        forces: Names of the markers' fields with the forces of conditions on the body in the last
-            step (N), see `force`.
+        forces: Names of the markers' fields with forces on the body in the last step (N).
+        against: Markers of touching bodies, and names of the forces on those bodies.
         ds: Measure over the markers.
 
     Raises:
@@ -118,19 +117,17 @@ class Boundary(Uncopied):
         check_points(points)
         if name is not None and (not isinstance(name, str) or not name):
             raise ParameterError(f"name = {shown(name)} must be a word, such as 'wall'")
-        activates = (
-            truth("follows", follows) if activates is None else truth("activates", activates)
-        )
+        truth("follows", follows)
+        activates = follows if activates is None else truth("activates", activates)
         at, vectors = call_together(points.comm, lambda: rows_of(points.gdim, x, area))
         sizes = np.linalg.norm(vectors, axis=1)
         if points.comm.allreduce(len(at), op=MPI.SUM) == 0:
-            axis = ", and not on the axis" if points.axisymmetric else ""
-            raise EmptyShapeError(
-                f"the boundary has no markers; give markers that lie in the grid{axis}"
-            )
+            off = " and off the axis" * points.axisymmetric
+            raise EmptyShapeError(f"the boundary has no markers; give markers in the grid{off}")
         at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
-        self.tiles, self.longest, self.forces, self.removed = False, 0.0, list[str](), list[Array]()
+        self.tiles, self.longest, self.removed = False, 0.0, list[Array]()
+        self.forces, self.against = list[str](), list[tuple[MaterialPoints, str]]()
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next_number(points.grid, 'boundary')}"
@@ -380,12 +377,14 @@ class Boundary(Uncopied):
 
     @collective
     def force(self) -> Array:
-        """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.
+        """Force of conditions and touching bodies in the last step (N), shape (gdim,). Collective.
 
         For axisymmetric bodies, the force goes around the axis. Its first component is the sum of
         the radial forces.
         """
-        sums = sum((self.markers[name].sum(axis=0) for name in self.forces), np.zeros(self.gdim))
+        own = [self.markers[name] for name in self.forces]
+        own += [-markers[name] for markers, name in self.against]
+        sums = sum((one.sum(axis=0) for one in own), np.zeros(self.gdim))
         return self.points.comm.allreduce(np.asarray(sums), op=MPI.SUM)
 
     @property

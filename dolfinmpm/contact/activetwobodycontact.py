@@ -157,6 +157,7 @@ class ActiveTwoBodyContact(ActiveContact):
         np.add.at(end[names.tangential_force], rows, now.tangential)
         np.add.at(end[names.normal_force], rows, now.normal)
         np.add.at(end[names.work], rows, done)
+        np.add.at(end[names.force], rows, self.forces)
         np.add.at(end[names.stored], rows, self._stored(now.normal, now.tangential))
         if self.mean_weights is not None and self.contact.law.penetration is None:
             q = self.start.multiplier - self.start.stiffness * self.pairs.gap

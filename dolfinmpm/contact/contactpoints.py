@@ -51,6 +51,7 @@ class MarkerFields(NamedTuple):
         steps: Number of steps.
         stored: Energy stored by the penalties (J).
         spare: Spare energy (J), see `dolfinmpm.contact.meanforces`.
+        force: Forces on the first body (N), with their directions.
     """
 
     tangential_force: str
@@ -59,6 +60,7 @@ class MarkerFields(NamedTuple):
     steps: str
     stored: str
     spare: str
+    force: str
 
 
 @dataclass

@@ -146,9 +146,14 @@ class TwoBodyContact(Term):
             ParameterError: The penalty needs Young's modulus, and a body has none.
         """
         markers, points = self.boundaries[0].markers, self.points
-        shapes, units = ((points.gdim,), (), (), (), (), ()), ("N", "N", "J", "", "J", "J")
-        for name, shape, unit in zip(self.names, shapes, units):
-            markers.add_field(name, shape, unit)
+        units = "N", "N", "J", "", "J", "J", "N"
+        for name, unit in zip(self.names, units):
+            vector = name in (self.names.tangential_force, self.names.force)
+            markers.add_field(name, (points.gdim,) if vector else (), unit)
+        first, second = self.boundaries
+        if self.names.force not in first.forces:
+            first.forces.append(self.names.force)
+            second.against.append((markers, self.names.force))
         if self.law.stiffness is not None:
             return
         moduli = []
@@ -207,6 +212,8 @@ def contact_between(
     Coulomb's law, see `dolfinmpm.contact.contactlaw`; in time in the mean over a step, see
     `dolfinmpm.contact.meanforces`. A bound of the penetration adds multipliers,
     see `contact`.
+
+    `Boundary.force()` is the force on the body of each boundary.
 
     In a step the bodies may approach by at most one cell. A step with a larger approach is halved.
     The first surface should be the smaller, the finer, or that of the softer body. A boundary may

@@ -255,3 +255,30 @@ def test_a_rigid_body_touches_one_of_two_bodies():
     forces = record.bodies["floor"]["force"], record.bodies["contact1"]["force"]
     assert forces[0][1] == pytest.approx(-upper - lower, rel=1e-8)
     assert forces[1][1] == pytest.approx(upper, rel=1e-8)
+
+
+def test_boundaries_have_the_force_of_the_touching_body():
+    comm = MPI.COMM_WORLD
+    grid = mpm.create_lattice(comm, [np.arange(0, 4.1, 0.5), np.arange(0, 3.1, 0.5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 1)), 2, 2000.0, tag=1)
+    points = points + mpm.fill(grid, mpm.Box((1, 1), (3, 2)), 2, 2000.0, tag=2)
+    A, B = mpm.Space(grid, "gimp", tag=1), mpm.Space(grid, "gimp", tag=2)
+    top, bottom = (
+        mpm.Boundary.from_polygon(points, ends, closed=False, rule=1, spacing=0.125)
+        for ends in ([(4, 1), (0, 1)], [(1, 1), (3, 1)])
+    )
+    law, F = mpm.materials.Hencky(1e7, 0.2), 0
+    for space, tag in ((A, 1), (B, 2)):
+        F += mpm.momentum(law, points, space.increment, space.test, tag=tag)
+    # its weight, and a push to the side that friction holds
+    load = ufl.as_vector([2.0, -10.0])
+    F -= ufl.inner(points.density * load, B.test) * points.dX(2)
+    fields, tests = (B.increment, A.increment), (B.test, A.test)
+    F += mpm.contact_between((bottom, top), fields, tests, friction=0.5)
+    problem = mpm.QuasiStatic(
+        F, [A.increment, B.increment], points, mpm.fixed(A, "bottom"), stabilisation=["ghost"] * 2
+    )
+    assert bottom.force() == pytest.approx([0.0, 0.0])
+    problem.step()
+    assert bottom.force() == pytest.approx([-8000.0, 40000.0], rel=1e-7)
+    assert top.force() == pytest.approx([8000.0, -40000.0], rel=1e-7)
