@@ -88,15 +88,13 @@ def tangent_fault(
     """
     size = np.abs(numeric).max(axis=(1, 2))
     compared = good & np.isfinite(size) & (size > 0) & (kink <= _KINK * size)
+    if not compared.any() and not good.all():
+        return []
     if not compared.any():
-        return (
-            []
-            if not good.all()
-            else [
-                f"{law!r}: no point without a kink for its tangent. Stresses of single precision look "
-                "like this, too: are all its numbers REAL*8?"
-            ]
-        )
+        return [
+            f"{law!r}: no point without a kink for its tangent. Stresses of single precision look "
+            "like this, too: are all its numbers REAL*8?"
+        ]
     gap = np.abs(own - numeric).max(axis=(1, 2)) / np.where(compared, size, 1.0)
     gap[~compared] = 0.0
     gap[compared & ~np.isfinite(gap)] = np.inf
