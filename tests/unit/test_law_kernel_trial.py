@@ -119,6 +119,15 @@ def refusing_tension(parameters, strain, old, new, stress, tangent):
 
 
 @law_kernel
+def writing_and_refusing(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = parameters[0] * strain[i]
+        for j in range(3):
+            tangent[3 * i + j] = parameters[0] * (i == j)
+    return 1
+
+
+@law_kernel
 def layered(parameters, strain, old, new, stress, tangent):
     """Twice as stiff along the first axis."""
     for i in range(3):
@@ -141,8 +150,9 @@ def adding(parameters, strain, old, new, stress, tangent):
 def test_the_check_goes_on_after_a_strain_without_a_stress():
     (fault,) = own(refusing_tension).check()
     assert "has a wrong tangent" in fault
-    (fault,) = own(refusing).check()
-    assert "finds no stress at any strain" in fault
+    for kernel in (refusing, writing_and_refusing):
+        (fault,) = own(kernel).check()
+        assert "finds no stress at any strain" in fault
 
 
 def test_the_check_finds_a_law_that_is_not_isotropic():
