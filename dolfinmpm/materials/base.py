@@ -184,11 +184,12 @@ class Law(Parametrised):
         first = np.empty((len(parameters), len(self.internal)))
         for k, (name, declared) in enumerate(self.internal.items()):
             unit, value = declared if isinstance(declared, tuple) else (None, None)
-            if not isinstance(unit, str) or not (value in names or isinstance(value, Real)):
+            known = np.isfinite(value) if isinstance(value, Real) else value in names
+            if not isinstance(unit, str) or not known:
                 raise ParameterError(
                     f"{type(self).__name__}: internal[{name!r}] = {declared!r} must be a unit and "
-                    "a first value, (unit, value); the value is a number, or one of the parameters "
-                    f"{', '.join(names)}"
+                    "a first value, (unit, value); the value is a finite number, or one of the "
+                    f"parameters {', '.join(names)}"
                 )
             first[:, k] = parameters[:, names.index(value)] if isinstance(value, str) else value
         return first

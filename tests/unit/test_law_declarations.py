@@ -18,6 +18,10 @@ def test_laws_of_ones_own_that_are_incomplete_are_refused():
         ({"parameters": ["E"]}, "must be a dictionary"),
         ({"parameters": {"E": 1.0}}, "must be a dictionary"),
         ({"parameters": modulus, "internal": {"a": 0.0}}, r"internal\['a'\] = 0.0 must be a unit"),
+        (
+            {"parameters": modulus, "internal": {"a": ("", float("nan"))}},
+            "the value is a finite number",
+        ),
         ({"parameters": modulus, "internal": ["a"]}, "internal = .* must be a dictionary"),
         ({"parameters": modulus, "internal": {"a": ("Pa", "c")}}, "one of the parameters E"),
     ):
