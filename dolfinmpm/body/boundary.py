@@ -122,8 +122,8 @@ class Boundary(Uncopied):
         at, vectors = call_together(points.comm, lambda: rows_of(points.gdim, x, area))
         sizes = np.linalg.norm(vectors, axis=1)
         if points.comm.allreduce(len(at), op=MPI.SUM) == 0:
-            off = " and off the axis" * points.axisymmetric
-            raise EmptyShapeError(f"the boundary has no markers; give markers in the grid{off}")
+            off = ", and not on the axis" * points.axisymmetric
+            raise EmptyShapeError(f"the boundary has no markers; give some within the grid{off}")
         at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
         self.tiles, self.longest, self.removed = False, 0.0, list[Array]()

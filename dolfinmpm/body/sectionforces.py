@@ -40,6 +40,17 @@ class SectionForces:
             counter-clockwise.
         centre: Centre of the section (m), shape (gdim,).
         area: Area of the section (m²; m for plane bodies).
+
+    A wall, 2 m thick, under a pressure of 1 kPa:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(7), range(7)])
+    >>> points = mpm.fill(grid, mpm.Box((1, 0), (3, 5)), per_cell=2, density=2000.0)
+    >>> points["stress"][:, 1, 1] = -1e3
+    >>> found = mpm.section_forces(points, place=(1, 2.5), normal=(0, 1))
+    >>> found.force.round(6).tolist(), found.moment.round(6).tolist(), found.centre.tolist()
+    ([0.0, -2000.0], [0.0], [2.0, 2.5])
     """
 
     force: Array
