@@ -105,7 +105,7 @@ def section_forces(
     >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
     >>> record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
     >>> found = mpm.section_forces(points, (0, 5), (0, 1))
-    >>> found.force[1].round(-4).item(), found.area.__round__(2)
+    >>> found.force[1].round(-4).item(), round(found.area, 2)
     (-800000.0, 8.0)
     """
     check_points(points)

@@ -193,8 +193,8 @@ class EssentialConditions:
             base = basis if leaves else space.basis
             shape = (base.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
-            shares = share, level, float(rounding)
-            error = self._apply(space, base, shares, flags, numbers) or error
+            shares = share, level
+            error = self._apply(space, base, shares, flags, numbers, rounding) or error
             fixed.append(flags if leaves else renumbered(flags, base, basis))
             values.append(numbers if leaves else renumbered(numbers, base, basis))
         raise_together(self._spaces[0].grid.comm, error)
@@ -316,13 +316,20 @@ class EssentialConditions:
         flags[condition.nodes] = True
         return renumbered(flags, base, basis)
 
-    def _apply(self, space: Space, basis: Basis, shares, flags, values) -> Exception | None:
+    def _apply(
+        self, space: Space, basis: Basis, shares: tuple[float, float], flags: Flags, values: Array,
+        rounding: float,
+    ) -> Exception | None:  # fmt: skip
         """Set masks and values at the own nodes of this rank; returns a contradiction or None.
 
-        On leaves they are set at all nodes that this rank knows. `shares` are those of `at`, and
-        the largest difference of values that agree.
+        On leaves they are set at all nodes that this rank knows.
+
+        Args:
+            space, basis: The field, and its basis.
+            shares: `share` and `level` of `at`.
+            flags, values: Masks and values, shape (nodes, components); changed.
+            rounding: Largest difference of values that agree.
         """
-        *shares, rounding = shares
         owner = np.full(flags.shape, -1, np.int32)
         error = None
         limit = basis.nodes.size if isinstance(basis, LeafBasis) else basis.nodes.owned
