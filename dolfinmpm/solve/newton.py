@@ -73,8 +73,8 @@ class Newton:
 
     Newton's method may cycle or overshoot where points start or stop to yield. It then starts
     again with the other line search, and uses this line search first from then on. In contact with
-    rigid bodies, `Secants` finds the length of each Newton step. `InitialGuess` has the first
-    guess; if it fails, zero increments are the first guess.
+    rigid bodies and with walls that have friction, `Secants` finds the length of each Newton step.
+    `InitialGuess` has the first guess; if it fails, zero increments are the first guess.
 
     Args:
         comm: Communicator of the problem.
@@ -145,15 +145,18 @@ class Newton:
         return outcome
 
     def _in_contact(self, operator: Operator) -> bool:
-        """Whether secants apply: contact with rigid bodies, and displacements as only unknowns.
+        """Whether secants apply: rigid bodies or rough walls, and displacements as only unknowns.
 
         With pressures among the unknowns, the component of the residual along a step mixes work
         with volumes times pressures. This component tells nothing about the length of the step.
         """
         here = operator.here
-        displacements = len(here.movers) == len(here.fields)
+        if len(here.movers) != len(here.fields) or not self.searches:
+            return False
         rigid = any(contact.pushes for contact in operator.contacts)
-        return rigid and bool(self.searches) and displacements
+        conditions = (c for of in operator.form.boundaries for c in of.conditions)
+        # markers that slide have no stiffness, so that a whole step may slide back too far
+        return rigid or any(c.pushes and c.friction for c in conditions)
 
     def _attempt(
         self,

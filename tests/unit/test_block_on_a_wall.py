@@ -56,11 +56,29 @@ def test_a_disc_rolls_down_a_wall():
     F += mpm.signorini(wall, u, v, law=law, friction=0.6)
     problem = mpm.Newmark(F, u, points, stabilisation="ghost")
     start = points["x"][:, 0] @ points["V0"]
-    for t in mpm.times(0.8, dt=0.02):
+    for t in mpm.times(0.8, dt=0.01):
         problem.step(t)
     way = (points["x"][:, 0] @ points["V0"] - start) / points["V0"].sum()
     # a disc of squares of an eighth of its radius; it had come to 0.8 of this way
     assert way == pytest.approx(0.5 * 2 / 3 * gravity[0] * 0.8**2, rel=0.05)
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+def test_a_block_that_yields_hits_a_rough_wall(basis):
+    """Whole steps of Newton's method slid back too far: 80 iterations, and halved steps."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [0.25 * np.arange(-2, 8), 0.25 * np.arange(-1, 6)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.9, 0.9)), 2, 2000.0, exact=True)
+    points.add_field("velocity", (2,), "m/s", (0.8, -0.6))
+    V, law = mpm.Space(grid, basis), mpm.materials.VonMises(1e6, 0.0, yield_stress=2e4)
+    u, v = V.increment, V.test
+    wall = mpm.Boundary.from_polygon(points, [(-0.4, 0), (1.7, 0)], closed=False, follows=False)
+    F = mpm.momentum(law, points, u, v) + mpm.signorini(wall, u, v, law=law, friction=0.3)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
+    problem = mpm.Newmark(F, u, points, stabilisation="ghost")
+    records = [problem.step(t) for t in mpm.times(0.12, dt=0.02)]
+    assert max(record.iterations for record in records) <= 20
+    assert sum(record.halvings for record in records) == 0
+    assert points["plastic_strain"].max() > 1e-3
 
 
 def test_a_thin_point_at_the_edge_does_not_hide_the_point_beside_it():
