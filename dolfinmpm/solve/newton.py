@@ -145,18 +145,16 @@ class Newton:
         return outcome
 
     def _in_contact(self, operator: Operator) -> bool:
-        """Whether secants apply: rigid bodies or rough walls, and displacements as only unknowns.
-
-        With pressures among the unknowns, the component of the residual along a step mixes work
-        with volumes times pressures. This component tells nothing about the length of the step.
-        """
+        """Whether secants apply: rough walls, or rigid bodies and no unknowns but displacements."""
         here = operator.here
-        if len(here.movers) != len(here.fields) or not self.searches:
+        if not self.searches:
             return False
-        rigid = any(contact.pushes for contact in operator.contacts)
         conditions = (c for of in operator.form.boundaries for c in of.conditions)
         # markers that slide have no stiffness, so that a whole step may slide back too far
-        return rigid or any(c.pushes and c.friction for c in conditions)
+        if any(c.pushes and c.friction for c in conditions):
+            return True
+        displacements = len(here.movers) == len(here.fields)
+        return displacements and any(contact.pushes for contact in operator.contacts)
 
     def _attempt(
         self,
@@ -221,13 +219,15 @@ class Newton:
         The line searches of `SEARCHES`, and `Secants`, end with a residual at the end of their
         step. So the operator has the increments of the solution after SNES has ended.
         """
-        linear, contact = self.linear, self._in_contact(operator)
+        linear, contact, unknowns = self.linear, self._in_contact(operator), operator.here.unknowns
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
         now: Residual = Residual(np.empty(0), 0.0, 0.0)
         # residual at the end of the present step, if secants have found it already
         ahead: Residual | None = None
-        secants = Secants(operator.here.unknowns.comm, operator.residual) if contact else None
+        secants = None
+        if contact:
+            secants = Secants(unknowns.comm, operator.residual, _displacements(operator))
         spare, smallest, resolved = _SPARE * self.tolerance, 0.0, self._resolved(operator, contact)
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
@@ -317,6 +317,15 @@ class Newton:
         square = operator.here.unknowns.comm.allreduce(float(f @ f), op=MPI.SUM)
         balance.motion, balance.predicted = math.sqrt(square), True
         return self.linear.solve(-f)
+
+
+def _displacements(operator: Operator) -> Array | None:
+    """1 for unknown displacements, 0 for others; None if all are displacements. Collective."""
+    here = operator.here
+    if len(here.movers) == len(here.fields):
+        return None
+    ones = np.ones(here.unknowns.owned)
+    return np.sum([here.unknowns.only(k, ones) for k in here.movers], axis=0)
 
 
 def _moved(operator: Operator, change: PETSc.Vec) -> float:

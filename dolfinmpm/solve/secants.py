@@ -54,13 +54,22 @@ class Secants:
     Args:
         comm: Communicator of the problem.
         residual: The residual as a function of the owned unknowns. Collective.
+        displacements: 1 for owned unknowns that are displacements, 0 for others, such as pressures;
+            None if all are. The component is the work of the displacements alone. It may grow along
+            the step as long as the pressures do not fulfil their equations. Then the whole step is
+            taken.
 
     Attributes:
         useless: Number of useless steps in a row.
     """
 
-    def __init__(self, comm: MPI.Intracomm, residual: Callable[[Array], Residual]):
-        self._comm, self._residual = comm, residual
+    def __init__(
+        self,
+        comm: MPI.Intracomm,
+        residual: Callable[[Array], Residual],
+        displacements: Array | None = None,
+    ):
+        self._comm, self._residual, self._displacements = comm, residual, displacements
         self.useless = 0
 
     @property
@@ -88,17 +97,18 @@ class Secants:
             if math.isfinite(end.found.norm):
                 break
             end = at(0.5 * end.share)
-        grows = start.along > 0.0
-        best = end
-        if math.isfinite(end.found.norm):
+        mixed, grows, best = self._displacements is not None, start.along > 0.0, end
+        if math.isfinite(end.found.norm) and not (mixed and grows):
             best = (_shorten if grows else _false_position)(at, start, end)
+        grows = grows and not mixed
         self.useless = self.useless + 1 if grows or best.share < _USELESS else 0
         if best is not trials[-1]:
             best = at(best.share)
         return best.share, best.found
 
     def _along(self, step: Array, found: Residual) -> float:
-        return self._comm.allreduce(float(step @ found.values), op=MPI.SUM)
+        moved = step if self._displacements is None else self._displacements * step
+        return self._comm.allreduce(float(moved @ found.values), op=MPI.SUM)
 
 
 def _false_position(

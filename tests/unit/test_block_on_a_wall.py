@@ -81,6 +81,29 @@ def test_a_block_that_yields_hits_a_rough_wall(basis):
     assert points["plastic_strain"].max() > 1e-3
 
 
+def test_a_saturated_block_hits_a_rough_wall():
+    """Its first step took 66 iterations, and was halved twice."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [0.25 * np.arange(-2, 8), 0.25 * np.arange(-1, 6)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.9, 0.9)), 2, 2000.0, exact=True)
+    points.add_field("velocity", (2,), "m/s", (0.8, -0.6))
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    u, p, law = V.increment, Q.increment, mpm.materials.Hencky(1e6, 0.0)
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], 0.9), normal=(0, 1))
+    F = mpm.poromechanics(
+        law, points, (u, p), (V.test, Q.test), permeability=1e-3, porosity=0.4, drained=top,
+        gravity=fem.Constant(grid, (0.0, -10.0)),
+    )  # fmt: skip
+    wall = mpm.Boundary.from_polygon(points, [(-0.4, 0), (1.7, 0)], closed=False, follows=False)
+    F += mpm.signorini(wall, u, V.test, law=law, friction=0.3)
+    problem = mpm.Newmark(F, [u, p], points, stabilisation=["ghost", "ghost"])
+    records = [problem.step(t) for t in mpm.times(0.12, dt=0.02)]
+    assert max(record.iterations for record in records) <= 20
+    assert sum(record.halvings for record in records) == 0
+    force = wall.force()
+    assert force[1] > 0.0
+    assert force[0] == pytest.approx(-0.3 * force[1], rel=1e-6)
+
+
 def test_a_thin_point_at_the_edge_does_not_hide_the_point_beside_it():
     """A block of 9 domains and a thin one stands on its outermost marker, too."""
     grid = mpm.create_lattice(
