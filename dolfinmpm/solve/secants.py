@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 # Share of the residual's component along the step that may remain, and most trials to reach it
 _LEFT, _MOST = 0.5, 5
 # Longest and shortest step in these trials, as shares of Newton's step
-_FURTHEST, _NEAREST = 2.0, 0.1
+_FURTHEST, _NEAREST = 2.0, 0.01
 # Most halvings of a step at whose end a law has no stress
 _HALVINGS = 9
 # Factor, and most uses of it, to shorten a step along which the residual grows at first
