@@ -33,8 +33,8 @@ class FromState:
 
     Use it as a context: `with FromState(...) as attempt: trial = attempt(1.3)`. At the end the
     problem has its first state again. In a trial, loads stay and prescribed increments are zero.
-    The strength of the laws falls in equal steps to the strength over the factor. Stresses outside
-    the yield surface return to it.
+    The strength of the laws falls in equal steps to the strength over the factor. A factor below 1
+    acts in all steps. Stresses outside the yield surface return to it.
 
     Args:
         problem: The problem, between steps.
@@ -128,7 +128,9 @@ class FromState:
         done, share, reason = 0.0, 1.0 / self._steps, ""
         while done < 1.0 and not reason:
             share = min(share, 1.0 - done)
-            now = 1.0 + (factor - 1.0) * (done + share)
+            # a body that fails at its own strength would flow at strengths between this and a
+            # larger one, so that a larger one acts from the first step
+            now = 1.0 + (factor - 1.0) * (done + share) if factor > 1.0 else factor
             self._weaken(now)
             try:
                 reason = self._step(share, now)

@@ -52,6 +52,18 @@ def test_the_state_says_what_loading_says(make):
     assert "since the state" in found.criterion
 
 
+def test_a_body_that_fails_at_its_own_strength():
+    """A larger strength acts at once: strengths between both, at which it flows, gave 0.71."""
+    for problem in slope(1.6, 2.0, steps=4):
+        problem.step()
+    assert abs(problem.points["x"] - problem.points["x0"]).max() > 0.1  # it has begun to flow
+    found = [
+        study.factor_of_safety(problem, low, 1.2, tolerance=0.02, steps=steps).factor
+        for low, steps in [(0.3, 5), (0.7, 5), (0.7, 1)]
+    ]
+    assert found == pytest.approx([0.935] * 3, abs=0.02)
+
+
 # -- infinite slopes -----------------------------------------------------------------------
 
 BETA, DEPTH, SOIL, WATER = np.radians(20.0), 4.0, 20e3, 10e3
