@@ -90,6 +90,9 @@ def factor_of_safety(
     to it. Growth is 1 + d/d_e, with the largest displacement d in the trial, and the largest
     displacement d_e of the elastic body under the loads.
 
+    A body that fails at its own strength has no such state: it has flowed, and the factor is that
+    of the flatter body. Take the second way.
+
     Second way: growth is the largest displacement over a displacement in proportion to the load.
     The first step at the factor `low` defines the proportion.
 
