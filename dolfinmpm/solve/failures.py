@@ -21,6 +21,7 @@ from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.facetedsurface import FacetedSurface
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activecells import active_on_grid
+from dolfinmpm.kinematics.nitsche import WeakCondition
 from dolfinmpm.solve.loosepieces import loose_piece
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
@@ -102,6 +103,8 @@ def advice_on(problem: QuasiStatic) -> str:
     if first.space.increment.ufl_shape != (points.gdim,):
         return text
     free = free_motions(problem.bcs, first.space, active_on_grid(first), points.axisymmetric)
+    if free and _held_within_cells(problem):
+        return _advice_on_rounding(problem) or text
     if not free:
         loose = "" if problem.scheme.inertia else loose_piece(problem)
         return f"{loose}; or {text}" if loose else _advice_on_rounding(problem) or text
@@ -114,6 +117,16 @@ def advice_on(problem: QuasiStatic) -> str:
         f"no condition holds the body's rigid motions {', '.join(free)}: add one unless a term of "
         f"the form holds them, or {text}"
     )
+
+
+def _held_within_cells(problem: QuasiStatic) -> bool:
+    """Whether boundaries that do not fit the grid hold the body.
+
+    One of them holds all components, or several hold one each. Walls push only.
+    """
+    every = [c for of in problem.form.boundaries for c in of.conditions]
+    held = [c for c in every if isinstance(c, WeakCondition)]
+    return len(held) > 1 or any(c.direction is None for c in held)
 
 
 def _advice_on_rounding(problem: QuasiStatic) -> str:

@@ -248,6 +248,22 @@ def test_a_body_that_nothing_holds_says_so():
     assert "stabilisation" not in str(caught.value)
 
 
+@pytest.mark.parametrize("sides", [1, 2])
+def test_a_body_that_boundaries_hold_gets_no_advice_to_hold_it(sides):
+    points, V, F, _ = block()
+    law = mpm.materials.Hencky(1e5, 0.3)
+    for line in ([(0, 0), (2, 0)], [(0, 1), (0, 0)])[:sides]:
+        at = mpm.Boundary.from_polygon(points, line, closed=False)
+        more = {"direction": "normal"} if sides == 2 else {}
+        F += mpm.dirichlet(at, V.increment, V.test, law=law, **more)
+    options = {"max_iterations": 1, "max_halvings": 0, "tolerance": 1e-14}
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost", **options)
+    with pytest.raises(ConvergenceError) as caught:
+        problem.step()
+    assert "rigid motions" not in str(caught.value)
+    assert str(caught.value).endswith("take smaller steps")
+
+
 def test_advice_and_loads_of_a_failed_step():
     points, V, F, g = block()
     g.name = "gravity"
