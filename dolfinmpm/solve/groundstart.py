@@ -13,6 +13,7 @@ from dolfinmpm._platform.argumentchecks import check_kind
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.tags import tags_in_use
 from dolfinmpm.kinematics.deposits import Deposit
 from dolfinmpm.kinematics.lawterms import set_stress
 from dolfinmpm.solve.initialbalance import check_undeformed, equilibrate
@@ -96,7 +97,10 @@ def start_at_rest(
             "no point has a stress: all are above the surface of the ground, whose heights must "
             "be those of the grid, or its layers have no weight"
         )
-    for one in declarations:
+    in_use = tags_in_use(points)
+    # a form may have a law of fill whose points come later
+    here = [one for one in declarations if one.tags is None or not in_use.isdisjoint(one.tags)]
+    for one in here or declarations:
         tags = None if one.tags is None else tuple(one.tags)
         set_stress(one.law, points, stress, strain=one.strain, tag=tags)
     count = equilibrate(problem, tolerance=tolerance, most=most)

@@ -149,9 +149,8 @@ class Newton:
         here = operator.here
         if not self.searches:
             return False
-        conditions = (c for of in operator.form.boundaries for c in of.conditions)
         # markers that slide have no stiffness, so that a whole step may slide back too far
-        if any(c.pushes and c.friction for c in conditions):
+        if _rough(operator):
             return True
         displacements = len(here.movers) == len(here.fields)
         return displacements and any(contact.pushes for contact in operator.contacts)
@@ -228,7 +227,8 @@ class Newton:
         secants = None
         if contact:
             secants = Secants(unknowns.comm, operator.residual, _displacements(operator))
-        spare, smallest, resolved = _SPARE * self.tolerance, 0.0, self._resolved(operator, contact)
+        spare, smallest, resolved = _SPARE * self.tolerance, 0.0, self._resolved(operator)
+        whole = True
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
 
@@ -238,10 +238,11 @@ class Newton:
             f.getArray()[:], ahead = now.values, None
 
         def shorten(x: PETSc.Vec, y: PETSc.Vec) -> None:
-            nonlocal ahead
+            nonlocal ahead, whole
             assert secants is not None
             share, ahead = secants.find(x.getArray(readonly=True), -y.getArray(readonly=True), now)
             y.scale(share)
+            whole = share == 1.0
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             # with several fields, the field with the smallest reference needs the best solution
@@ -249,6 +250,11 @@ class Newton:
             if not weak.serves(now.norm, enough):
                 operator.tangent(matrix)
                 weak.assembled(now.norm, enough)
+
+        def may_round() -> bool:
+            # secants shorten steps in contact; where nothing touches they follow rounding alone
+            full = secants is None or whole or not _rough(operator)
+            return resolved > 0.0 and full and not (contact and _touched(operator))
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             nonlocal smallest
@@ -262,7 +268,7 @@ class Newton:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
-            if reason == Reason.ITERATING and resolved and iteration > 0:
+            if reason == Reason.ITERATING and iteration > 0 and may_round():
                 others = by_field is None or others_balanced(operator, by_field, self.tolerance)
                 limit = resolved * (_STALLED if balance.stalls else 1.0)
                 if others and _moved(operator, snes.getSolutionUpdate()) <= limit:
@@ -282,14 +288,14 @@ class Newton:
         snes.setConvergenceTest(test)
         return snes
 
-    def _resolved(self, operator: Operator, contact: bool) -> float:
+    def _resolved(self, operator: Operator) -> float:
         """Change of the increments (m) that ends the iterations; 0 where none does. Collective.
 
         F = 1 + ∇u rounds strains, so that forces of tiny strains balance to a few digits only. The
         change tells of it if Newton's steps are full ones. Other fields, such as pressures, must
         be in balance.
         """
-        full = bool(self.searches) and self.search == SEARCHES[0] and not contact
+        full = bool(self.searches) and self.search == SEARCHES[0]
         newton = self.linear.snes.getType() == "newtonls"
         if not (full and newton and operator.here.movers):
             return 0.0
@@ -326,6 +332,18 @@ def _displacements(operator: Operator) -> Array | None:
         return None
     ones = np.ones(here.unknowns.owned)
     return np.sum([here.unknowns.only(k, ones) for k in here.movers], axis=0)
+
+
+def _rough(operator: Operator) -> bool:
+    """Whether the form has walls with friction, see `signorini`."""
+    conditions = (c for of in operator.form.boundaries for c in of.conditions)
+    return any(c.pushes and c.friction for c in conditions)
+
+
+def _touched(operator: Operator) -> bool:
+    """Whether a rigid body touches in the present state. Collective."""
+    touched = any(bool(term.states.any()) for term in operator.contacts if term.pushes)
+    return bool(operator.here.unknowns.comm.allreduce(touched, op=MPI.LOR))
 
 
 def _moved(operator: Operator, change: PETSc.Vec) -> float:

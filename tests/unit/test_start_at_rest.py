@@ -59,6 +59,24 @@ def test_a_hillside_is_in_balance_and_stays():
     assert moved < 1e-9
 
 
+def test_a_law_of_fill_that_comes_later():
+    """The form may have a law for points that come later: they have no stress yet."""
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 4, 5), np.linspace(0, 4, 5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=1800.0, tag=1)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    soil, bank = mpm.materials.Hencky(20e6, 0.3), mpm.materials.Hencky(10e6, 0.3)
+    F = mpm.momentum(soil, points, u, v, tag=1) + mpm.momentum(bank, points, u, v, tag=2)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -G)), v) * points.dX
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    problem = mpm.QuasiStatic(F, u, points, bcs)
+    mpm.start_at_rest(problem, mpm.Deposit(2.0, mpm.Layer(0.0, 1800 * G, K0=0.5)))
+    points.add(mpm.fill(grid, mpm.Box((0, 2), (4, 3)), per_cell=2, density=1800.0, tag=2))
+    problem.step()
+    vertical = points["stress"][points["tag"] == 1][:, 1, 1]
+    assert vertical.mean() == pytest.approx(-1800 * G * 2.0, rel=1e-2)
+
+
 def test_a_larger_tolerance_of_the_problem_is_no_obstacle():
     hill = mpm.Terrain(([0, 3, 5, 8],), [4.0, 4.0, 2.5, 2.5])
     stress = []
