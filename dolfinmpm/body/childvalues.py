@@ -135,11 +135,23 @@ def _means(points: MaterialPoints, born: Children) -> Array:
 def _of_corners(values: Array, place: npt.NDArray[np.int64], unit: str) -> Array:
     """Values at the corners of children: a corner of the parent is a corner of one child.
 
-    Stiffnesses of touching corners are made anew, because the parent's are of longer sides.
+    Stiffnesses of touching corners are made anew, because the parent's are of longer sides. Corners
+    of the parent that touch beside each other share a face. So children beside each other have
+    equal parts of this face, and of its forces. With a force that stays on one corner, the
+    friction there would be bounded by a part of the normal force.
     """
-    mine = np.arange(values.shape[1]) == place[:, None]
-    mine &= unit != "N/m"
-    return np.where(mine.reshape(mine.shape + (1,) * (values.ndim - 2)), values, 0.0)
+    corner = np.arange(values.shape[1])
+    share = (corner == place[:, None]).astype(float)
+    if unit == "N/m":
+        share[:] = 0.0
+    if unit == "N":
+        touches = np.any(values.reshape(*values.shape[:2], -1) != 0.0, axis=2)
+        assert isinstance(touches, np.ndarray)
+        share = np.ones(touches.shape)
+        for axis in 1 << np.arange(corner.size.bit_length() - 1):
+            other = ((corner ^ place[:, None]) & axis) != 0
+            share *= np.where(touches[:, corner ^ axis], 0.5, ~other)
+    return np.asarray(values * share.reshape(share.shape + (1,) * (values.ndim - 2)))
 
 
 def _face(points: MaterialPoints, surface: str, born: Children, new: dict[str, Any]) -> None:

@@ -130,25 +130,49 @@ def test_a_rigid_plate_goes_on_pressing_and_rubbing():
     np.testing.assert_allclose(split, whole, rtol=0.05)
 
 
-def test_forces_of_contact_stay_on_their_corners():
+@pytest.mark.parametrize("touching", [[0], [0, 1], [1, 3], [0, 3], [0, 1, 2, 3]])
+def test_forces_of_contact_are_shared_along_a_face(touching):
+    """A face between two touching corners is shared by the children along it."""
     points = block()
     rng = np.random.default_rng(0)
     points.add_field("plate_tangential_force", (4, 2), "N")
     points.add_field("weight", (2,), "N")
-    for name in ("plate_tangential_force", "weight"):
-        points[name] = rng.normal(size=points[name].shape)
+    points["plate_tangential_force"][:, touching] = rng.normal(size=(len(points), len(touching), 2))
+    points["weight"] = rng.normal(size=points["weight"].shape)
     order = np.argsort(points["id"])
     force, weight = points["plate_tangential_force"][order], points["weight"][order]
     mpm.split(points, np.ones(len(points), bool))
     place = mpm.families(points).place
     for corner in range(4):
         at = points["plate_tangential_force"][:, corner]
-        np.testing.assert_array_equal(at[place != corner], 0.0)
+        # children on the same side, or beside it along a face that touches
+        beside = {corner} | {corner ^ bit for bit in (1, 2) if corner ^ bit in touching}
+        beside |= set(range(4)) if len(touching) == 4 else set()
+        there = np.isin(place, list(beside) if corner in touching else [])
+        np.testing.assert_array_equal(at[~there], 0.0)
+        if corner in touching:
+            parts = np.abs(at[there]).reshape(len(force), -1, 2)
+            np.testing.assert_allclose(parts.max(axis=1), parts.min(axis=1))
     np.testing.assert_allclose(points["weight"].sum(axis=0), weight.sum(axis=0), rtol=1e-13)
     mpm.merge(points, 1e-6)
     order = np.argsort(points["id"])
     np.testing.assert_allclose(points["plate_tangential_force"][order], force)
     np.testing.assert_allclose(points["weight"][order], weight)
+
+
+def test_a_sliding_body_keeps_its_friction_where_points_split():
+    """The friction of a plate that slides is μ times its pressure in the step after a split."""
+    points = block()
+    V = mpm.Space(points.grid, "gimp")
+    plate = mpm.RigidBody(mpm.Plane((0, 0.75), (0, -1)), velocity=(2.0, -2.0), name="plate")
+    F = mpm.momentum(HENCKY, points, V.increment, V.test)
+    F += mpm.contact(plate, points, V.increment, V.test, friction=0.3)
+    problem = mpm.Newmark(F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation="ghost")
+    for t in (0.002, 0.004, 0.006):
+        problem.step(t)
+    mpm.split(points, np.ones(len(points), bool))
+    problem.step(0.008)
+    assert abs(plate.force[0]) == pytest.approx(0.3 * abs(plate.force[1]), rel=1e-3)
 
 
 def test_an_unfitted_boundary_goes_on():
