@@ -145,8 +145,7 @@ def _of_corners(values: Array, place: npt.NDArray[np.int64], unit: str) -> Array
     if unit == "N/m":
         share[:] = 0.0
     if unit == "N":
-        touches = np.any(values.reshape(*values.shape[:2], -1) != 0.0, axis=2)
-        assert isinstance(touches, np.ndarray)
+        touches = np.asarray(np.any(values != 0.0, axis=tuple(range(2, values.ndim))), bool)
         share = np.ones(touches.shape)
         for axis in 1 << np.arange(corner.size.bit_length() - 1):
             other = ((corner ^ place[:, None]) & axis) != 0

@@ -11,6 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
+from dolfinmpm.body.childvalues import child_values, children
 
 HENCKY = mpm.materials.Hencky(E=1e5, nu=0.2)
 
@@ -158,6 +159,15 @@ def test_forces_of_contact_are_shared_along_a_face(touching):
     order = np.argsort(points["id"])
     np.testing.assert_allclose(points["plate_tangential_force"][order], force)
     np.testing.assert_allclose(points["weight"][order], weight)
+
+
+def test_a_rank_without_points_that_split():
+    points = block()
+    points.add_field("plate_tangential_force", (4, 2), "N")
+    points.add_field("plate_normal_force", (4,), "N")
+    none = child_values(points, children(points, np.zeros(0, np.intp)))
+    assert none["plate_tangential_force"].shape == (0, 4, 2)
+    assert none["plate_normal_force"].shape == (0, 4)
 
 
 def test_a_sliding_body_keeps_its_friction_where_points_split():
