@@ -261,6 +261,11 @@ def LongPiecesWarning():
     mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost").step()
 
 
+def SectionAtEndWarning():
+    points, _ = block()
+    mpm.section_forces(points, place=(0, 0), normal=(0, 1))  # at its base
+
+
 def DriftingRecordWarning():
     pulse = mpm.InputMotion([0.0, 1.0, 2.0], acceleration=[0.0, 1.0, 0.0])
     pulse(3.0)

@@ -44,6 +44,7 @@ __all__ = [
     "ParameterError",
     "PointsOutsideGridError",
     "RoughShapeWarning",
+    "SectionAtEndWarning",
     "ShapeOutsideGridError",
     "SingularMassWarning",
     "SmallBodyWarning",
@@ -194,6 +195,10 @@ class LocalValueWarning(DolfinMPMWarning):
 
 class LostMomentumWarning(DolfinMPMWarning):
     """A mass cut-off is so large that nodes that stand still may stop a body."""
+
+
+class SectionAtEndWarning(DolfinMPMWarning):
+    """A section is so near to the end of a body that its forces are those of a part of a slab."""
 
 
 class SingularMassWarning(DolfinMPMWarning):

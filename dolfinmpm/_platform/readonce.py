@@ -10,7 +10,25 @@ from typing import Any, ClassVar
 from dolfinmpm._platform.argumentchecks import nearest, shown
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 
-__all__ = ["ReadList", "ReadOnce"]
+__all__ = ["ReadList", "ReadOnce", "set_by_user"]
+
+_LIBRARY = __name__.partition(".")[0]
+
+
+def set_by_user(owner: type, name: str, depth: int = 2) -> bool:
+    """Whether a script sets a public attribute of an object of the library.
+
+    The library, and classes that a user derives from its own, may set all names.
+
+    Args:
+        owner: Class of the object.
+        name: Name of the attribute.
+        depth: Number of calls from the script's line to this function.
+    """
+    if name.startswith("_") or owner.__module__.partition(".")[0] != _LIBRARY:
+        return False
+    caller = sys._getframe(depth).f_globals.get("__name__", "")
+    return caller.partition(".")[0] != _LIBRARY
 
 
 class ReadList(tuple):
@@ -43,6 +61,8 @@ class ReadOnce:
     _arguments: ClassVar[frozenset[str]] = frozenset()
     # names of attributes of other classes, with hints for messages
     _elsewhere: ClassVar[dict[str, str]] = {}
+    # advice for messages about names that are no arguments
+    _hints: ClassVar[dict[str, str]] = {}
 
     @classmethod
     def _refuse_unknown(cls, names: Iterable[str], hints: dict[str, str]) -> None:
@@ -88,21 +108,18 @@ class ReadOnce:
         raise UnknownNameError(f"{type(self).__name__} has no {name}{hint}")
 
     def _refuse_new(self, name: str) -> None:
-        """Raise ParameterError if the user sets a result, or a name similar to an argument.
-
-        The user may set new names, and the library may set all names.
-        """
+        """Raise ParameterError if a script sets a result, or a name that nothing reads."""
         kind = type(self)
-        caller = sys._getframe(2).f_globals.get("__name__", "")
-        if caller.partition(".")[0] == __name__.partition(".")[0] or name.startswith("_"):
+        if not set_by_user(kind, name, 3):
             return
         found = getattr(kind, name, None)
         if callable(found) or (isinstance(found, property) and found.fset is None):
             raise ParameterError(f"{name} is a result of {self._called()}; it cannot be set")
-        near = nearest(name, kind._arguments, least=0.8)
-        if found is None and near:
+        if found is None:
+            near = nearest(name, kind._arguments)
+            hint = near or f": {self._hints.get(name, 'keep a value of your own in a variable')}"
             raise ParameterError(
-                f"{self._called()} has no argument {name}, and setting it has no effect{near}"
+                f"{self._called()} has no argument {name}, and setting it has no effect{hint}"
             )
 
     def _called(self) -> str:

@@ -1,12 +1,14 @@
-"""Objects that hold a grid, ranks and compiled code, and that cannot be copied."""
+"""Objects that hold a grid, ranks and compiled code: they cannot be copied, or changed by hand."""
 
 from __future__ import annotations
 
 from typing import Any, NoReturn
 
+from dolfinmpm._platform.argumentchecks import nearest, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.readonce import set_by_user
 
-__all__ = ["Uncopied"]
+__all__ = ["Settled", "Uncopied"]
 
 
 class Uncopied:
@@ -26,3 +28,26 @@ class Uncopied:
             "its ranks: make another one with the same arguments. To come back to a state, keep it "
             "by problem.save(path), and call problem.load(path)"
         )
+
+
+class Settled(Uncopied):
+    """Base of classes that cannot be copied, and whose attributes only the library sets.
+
+    Plain Python would take a misspelt name without a word, and another value of a known one, which
+    those who have read it already would not see.
+
+    Raises:
+        ParameterError: A script sets an attribute.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if set_by_user(type(self), name):
+            kind = type(self).__name__
+            known = hasattr(type(self), name) or name in self.__dict__
+            why = "is read once" if known else "is no attribute of it, and would do nothing"
+            near = "" if known else nearest(name, self.__dict__)
+            raise ParameterError(
+                f"{name} = {shown(value)} of this {kind}: {name} {why}. Make a new {kind} with "
+                f"other arguments, and give it to a new problem{near}"
+            )
+        super().__setattr__(name, value)

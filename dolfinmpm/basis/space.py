@@ -15,7 +15,7 @@ from dolfinmpm._platform.argumentchecks import as_tags, choice, refuse_idle, sho
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm._platform.uncopied import Uncopied
+from dolfinmpm._platform.uncopied import Settled
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.latticebasis import first_parts
@@ -214,7 +214,7 @@ def _shape(shape: Any, gdim: int) -> tuple[int, ...]:
     return tuple(whole(f"shape[{k}]", size, 1) for k, size in enumerate(shape))
 
 
-class Space(Uncopied):
+class Space(Settled):
     """A field on the background grid: the increment that a step solves for, and its test function.
 
     Args:

@@ -18,7 +18,7 @@ from dolfinmpm._platform.errors import (
     UnsupportedGridError,
     call_together,
 )
-from dolfinmpm._platform.uncopied import Uncopied
+from dolfinmpm._platform.uncopied import Settled
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
@@ -50,7 +50,7 @@ Array = npt.NDArray[np.float64]
 OWN = "F_own"
 
 
-class Boundary(Uncopied):
+class Boundary(Settled):
     """A boundary of a body, or a wall, that need not fit the grid.
 
     A boundary consists of markers: quadrature points with area vectors and stencils of their own.

@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
     call_together,
 )
 from dolfinmpm._platform.html import listing
+from dolfinmpm._platform.readonce import set_by_user
 from dolfinmpm._platform.uncopied import Uncopied
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
@@ -309,8 +310,10 @@ class PointTable(Uncopied):
         # without this `points.density = 5000.0` would hide the field and change nothing
         if name in self.__dict__.get("fields", ()):
             self[name] = value
-        else:
-            super().__setattr__(name, value)
+            return
+        if name != "overlapping" and set_by_user(type(self), name):
+            raise UnknownNameError(no_field(name, self.fields))
+        super().__setattr__(name, value)
 
     def placement(self, configuration: str = "updated") -> Placement:
         """Positions and domains of the points for a basis.

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import as_tags, number, shown, vector
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError, SectionAtEndWarning, warn
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
@@ -26,6 +26,9 @@ from dolfinmpm.grid.lattice import largest_cell
 __all__ = ["SectionForces", "section_forces"]
 
 Array = npt.NDArray[np.float64]
+
+# Share of a slab beyond the end of the body from which on a warning tells it
+_MOST_MISSING = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,8 @@ def section_forces(
     With k cells over the thickness of a bent plate, linear functions and GIMP miss the force and
     the moment by about 0.3/k² of them: 7, 2 and 0.5 % with 2, 4 and 8 cells. With 4 cells of
     quadratic splines it is below 0.2 %. Moments that vary along the beam count in their mean over
-    the slab, which must lie within the body: keep away from its ends by `width`.
+    the slab, which must lie within the body: keep away from its ends by `width`. At the end itself
+    half of the slab is missing, and half of the force and of the moment. A warning tells it.
 
     Args:
         points: Material points.
@@ -84,7 +88,10 @@ def section_forces(
         normal: Normal of the section, of any length, shape (gdim,).
         tag: Tags of the points that count, such as those of the wall; None for all points.
         width: Distance from the section at which stresses count no more (m): by default the size
-            of the largest cell of the grid. Give the size of the leaves in a refined space.
+            of the largest cell of the grid. Give the size of the leaves in a refined space. Less
+            than a cell takes what swings from cell to cell for the mean: half a cell missed the
+            weight above a section by up to 9 % with GIMP. It is at least the length of the points'
+            domains.
 
     Returns:
         Force, moment, centre and area. For axisymmetric bodies they are those of the whole
@@ -92,6 +99,9 @@ def section_forces(
 
     Raises:
         ParameterError: An argument is not valid, or no point is in the section.
+
+    Warns:
+        SectionAtEndWarning: A part of the slab lies beyond the end of the body.
 
     A layer of soil, 8 m wide, reaches 5 m above the section:
 
@@ -120,14 +130,23 @@ def section_forces(
     x, read = points["x"], points.fields.read
     # half-lengths of the domains across the section
     half = read("l") @ np.abs(n)
-    V = read("V") * _mean_weight((x - x0) @ n, half, w)
-    if tags is not None:
-        V = V * np.isin(read("tag"), tags)
+    counts = np.ones(len(x), bool) if tags is None else np.isin(read("tag"), tags)
+    along = (x - x0) @ n
+    V = read("V") * _mean_weight(along, half, w) * counts
+    reach = (along + half)[counts], (half - along)[counts], half[V > 0]
+    ends = np.array([np.max(d, initial=-np.inf) for d in reach])
+    up, down, longest = points.comm.allreduce(ends, op=MPI.MAX)
+    if width is not None and w < 2 * longest * (1 - 1e-6):
+        raise ParameterError(
+            f"width = {w:g} m must be at least the length of the points' domains along the normal, "
+            f"{2 * longest:.6g} m; the size of a cell is best"
+        )
     t = in_section(points, read("stress"))[:, :d, :d] @ n
     sums = points.comm.allreduce(np.concatenate([[V.sum()], V @ x, V @ t]), op=MPI.SUM)
     area = float(sums[0])
     if not area > 0:
         raise ParameterError(_nothing(points, x0, n, tags))
+    _warn_at_end(points, x0, min(up, down), w)
     centre = sums[1 : 1 + d] / area
     centre = centre - ((centre - x0) @ n) * n
     # arms lie in the section: shear forces of the slab make no moment in its middle
@@ -154,6 +173,28 @@ def _mean_weight(distance: Array, half: Array, w: float) -> Array:
         return 0.5 + s - 0.5 * s * np.abs(s)
 
     return (below(distance + half) - below(distance - half)) / (2 * half)
+
+
+def _warn_at_end(points: MaterialPoints, place: Array, left: float, w: float) -> None:
+    """Warn if a slab reaches beyond the end of a body.
+
+    Args:
+        points: Material points.
+        place: A place in the section (m).
+        left: Distance from the section to the nearer end of the body (m).
+        w: Half of the width of the slab (m).
+    """
+    missing = 0.5 * max(1 - max(left, 0.0) / w, 0.0) ** 2
+    if missing > _MOST_MISSING:
+        warn(
+            points.comm,
+            f"the section through place = {place} m is {max(left, 0.0):.3g} m from the end of the "
+            f"points along its normal, and forces are means up to the width {w:.3g} m to both "
+            f"sides: {100 * missing:.0f} % is beyond the end, and force, moment and area are too "
+            f"small by about as much. Keep away from the end by {w:.3g} m; for the value at the "
+            "end continue the line through two such places",
+            SectionAtEndWarning,
+        )
 
 
 def _nothing(points: MaterialPoints, place: Array, n: Array, tags: Any) -> str:

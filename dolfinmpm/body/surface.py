@@ -32,7 +32,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.uncopied import Uncopied
+from dolfinmpm._platform.uncopied import Settled
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import PRESSURE, signed_form
@@ -49,7 +49,7 @@ Array = npt.NDArray[np.float64]
 Where = Callable[[Array], npt.ArrayLike]
 
 
-class Surface(Uncopied):
+class Surface(Settled):
     """Material points at a loaded face of a body, with the offset and the area of their faces.
 
     A surface adds two fields to the points: `<name>_offset` (m), from the centre of a point to its

@@ -25,7 +25,7 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import PointOperator
 from dolfinmpm.forms.termqueries import brief, depends_on, summands, term_of
-from dolfinmpm.forms.weightchecks import check_weights
+from dolfinmpm.forms.weightchecks import check_repeated, check_weights
 
 __all__ = [
     "check_explicit",
@@ -45,10 +45,10 @@ def check_form(form: Any) -> None:
         form: The weak form, as the user wrote it.
 
     Raises:
-        FormError: The form is no UFL form; has no terms; has a footing, a ghost penalty or the
-            weight of a mixture twice; has a trial function; has an unrestricted term on inner
-            facets; adds a load; subtracts a term that resists the motion; or has a number that is
-            complex or not finite.
+        FormError: The form is no UFL form; has no terms; has a footing, a ghost penalty, the
+            weight of a mixture or another term twice; has a trial function; has an unrestricted
+            term on inner facets; adds a load; subtracts a term that resists the motion; or has a
+            number that is complex or not finite.
     """
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {_not_a_form(form)}")
@@ -62,6 +62,7 @@ def check_form(form: Any) -> None:
         )
     check_signs(form)
     check_weights(form)
+    check_repeated(form)
     for integral in form.integrals():
         _check_numbers(integral.integrand())
         if integral.integral_type() == "interior_facet":

@@ -309,7 +309,7 @@ def _without_terms(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, li
         if integral.integrand() != term.integrand:
             raise FormError(
                 f"{term!r} is scaled or subtracted in the weak form; it counts as internal "
-                "forces do and is added: write F += mpm.contact(...)"
+                "forces do and is added: write F += ..."
             )
         if term.points is not points:
             raise FormError(

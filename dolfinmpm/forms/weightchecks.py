@@ -1,8 +1,9 @@
-"""Weights that a form has twice: by `mpm.poromechanics(gravity=...)`, and by another term."""
+"""Loads that a form has twice, such as the weight: by two terms, or by `mpm.poromechanics` too."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.algorithms.analysis import extract_constants
-from ufl.classes import ListTensor, ScalarValue, Zero
+from ufl.classes import Index, Label, ListTensor, MultiIndex, ScalarValue, Zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
@@ -19,7 +20,7 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
 from dolfinmpm.forms.termqueries import brief, tags_of
 
-__all__ = ["check_weights"]
+__all__ = ["check_repeated", "check_weights"]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,6 +48,46 @@ def check_weights(form: ufl.Form) -> None:
                     f"the weight of the mixture is in the form twice: by mpm.poromechanics("
                     f"gravity=...), and by '{brief(term)}'; leave one out"
                 )
+
+
+def check_repeated(form: ufl.Form) -> None:
+    """Refuse a term over the points that is there twice, as if a line of a notebook ran again.
+
+    Args:
+        form: Weak form, as the user wrote it.
+
+    Raises:
+        FormError: Two terms are the same up to the names of their indices, at some points.
+    """
+    seen: list[ufl.Integral] = []
+    for integral in form.integrals():
+        marks = integral.metadata() or {}
+        if "points" not in marks or "law" in marks:
+            continue
+        for other in seen:
+            if _same_points(integral, other) and _same(integral.integrand(), other.integrand(), {}):
+                raise FormError(
+                    f"the form has the term '{brief(integral.integrand())}' twice for the same "
+                    "points, and it would act twice: leave one out, or write a factor of 2. A line "
+                    "F += ... or F -= ... that runs again adds its term again: make F anew before"
+                )
+        seen.append(integral)
+
+
+def _same(a: Any, b: Any, names: dict[Any, Any]) -> bool:
+    """Whether two expressions are the same, with one's free indices and labels renamed."""
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, (Index, Label)):
+        return names.setdefault(a, b) == b
+    if isinstance(a, MultiIndex):
+        return len(a) == len(b) and all(_same(i, j, names) for i, j in zip(a, b))
+    if not isinstance(a, Expr) or not a.ufl_operands:
+        return bool(a == b)
+    both = zip(a.ufl_operands, b.ufl_operands)
+    return len(a.ufl_operands) == len(b.ufl_operands) and all(_same(x, y, names) for x, y in both)
 
 
 def _with_gravity(integral: ufl.Integral) -> Iterator[CarriedField]:

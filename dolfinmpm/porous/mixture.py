@@ -53,6 +53,7 @@ from dolfinmpm.porous.waterboundaries import (
     outflow,
     prescribed_inflow,
     prescribed_pressure,
+    refuse_two_pressures,
     seepage_face,
     surfaces,
 )
@@ -284,13 +285,16 @@ def _surface_terms(
         forms.append(volume * through.q * surface.dX)
         leaving[surface] = leaving[surface] + volume if surface in leaving else volume
 
-    for surface, value in of("drained", "Pa", 0.0):
+    held = {"drained": of("drained", "Pa", 0.0), "seepage": of("seepage", "Pa", 0.0)}
+    held["ponded"] = of("ponded", "m")
+    refuse_two_pressures(held)
+    for surface, value in held["drained"]:
         leaves(surface, prescribed_pressure(through, surface, value))
-    for surface, value in of("seepage", "Pa", 0.0):
+    for surface, value in held["seepage"]:
         leaves(surface, seepage_face(through, surface, value))
     for surface, rate in of("inflow", "m/s"):
         leaves(surface, prescribed_inflow(through, surface, rate))
-    for surface, level in of("ponded", "m"):
+    for surface, level in held["ponded"]:
         depth = ufl.max_value(level - surface.position(through.u)[points.gdim - 1], 0.0)
         leaves(surface, prescribed_pressure(through, surface, weight * depth))
         forms.append(surface.pressure(weight * depth, through.u, v))

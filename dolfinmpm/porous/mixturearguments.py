@@ -23,6 +23,9 @@ __all__ = [
     "suction_of", "time_weights", "unknowns",
 ]  # fmt: skip
 
+# Ratio of a given modulus to that of the law, or its inverse, above which it has another unit
+_FAR = 100.0
+
 
 def unknowns(points: MaterialPoints, fields: Any, tests: Any) -> tuple[Any, Any, Any, Any]:
     """Increment u, pressure p and the test functions v and q.
@@ -179,15 +182,30 @@ def suction_of(suction: Any, points: MaterialPoints) -> Any:
 
 
 def modulus_of(modulus: Any, soil: Any, points: MaterialPoints) -> Any:
-    """P-wave modulus M for UFL (Pa)."""
-    if modulus is not None:
-        return own_constant(points.grid, number("modulus", modulus, 0.0, unit="Pa"))
-    values = soil.values
-    E, nu = values.get("E"), values.get("nu")
-    if not (isinstance(E, float) and isinstance(nu, float)):
+    """P-wave modulus M for UFL (Pa).
+
+    Raises:
+        ParameterError: It is not given for a law without elastic constants, or is given in another
+            unit than those of the law.
+    """
+    values = getattr(soil, "values", {})  # a UMAT has none
+    E, nu, own = values.get("E"), values.get("nu"), None
+    if isinstance(E, float) and isinstance(nu, float):
+        lmbda, mu = lame(E, nu)
+        own = lmbda + 2 * mu
+    if modulus is None:
+        if own is None:
+            raise ParameterError(
+                f"{soil!r} has no elastic constants that are the same at all points, but the "
+                "pressure stabilisation needs a modulus as scale: give modulus=M, the P-wave "
+                "modulus (Pa)"
+            )
+        return own_constant(points.grid, own)
+    given = number("modulus", modulus, 0.0, unit="Pa")
+    # a thousandth, as of kPa for Pa, made the first undrained pressure fifty times too small
+    if own is not None and not own / _FAR <= given <= own * _FAR:
         raise ParameterError(
-            f"{soil!r} has no elastic constants that are the same at all points, but the pressure "
-            "stabilisation needs a modulus as scale: give modulus=M, the P-wave modulus (Pa)"
+            f"modulus = {given:g} Pa is far from the P-wave modulus of {soil!r}, {own:g} Pa, and "
+            "pressures would be wrong: give it in the unit of E, or leave it out"
         )
-    lmbda, mu = lame(E, nu)
-    return own_constant(points.grid, lmbda + 2 * mu)
+    return own_constant(points.grid, given)

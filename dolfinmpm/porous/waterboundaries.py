@@ -29,6 +29,7 @@ __all__ = [
     "outflow",
     "prescribed_inflow",
     "prescribed_pressure",
+    "refuse_two_pressures",
     "seepage_face",
     "surfaces",
 ]
@@ -126,6 +127,28 @@ def surfaces(
             raise_together(points.comm, _of_other_soil(what, surface, tags))
         found.append((surface, value))
     return found
+
+
+def refuse_two_pressures(held: dict[str, list[tuple[Surface, Any]]]) -> None:
+    """Refuse a surface with two conditions on the pressure, whose penalties would both act.
+
+    Args:
+        held: Surfaces of conditions on the pressure, by the name of the argument.
+
+    Raises:
+        ParameterError: A surface is there twice.
+    """
+    first: dict[Surface, str] = {}
+    for what, found in held.items():
+        for surface, _ in found:
+            if surface in first:
+                raise ParameterError(
+                    f"the surface '{surface.name}' is in {first[surface]}= and in {what}= of "
+                    "mpm.poromechanics, and a surface has one condition on the pressure: leave one "
+                    "out. ponded= has the pressure 0 above its level already; for two parts of a "
+                    "face make two surfaces"
+                )
+            first[surface] = what
 
 
 def _of_other_soil(what: str, surface: Surface, tags: tuple[int, ...]) -> ParameterError | None:

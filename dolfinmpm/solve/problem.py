@@ -100,6 +100,7 @@ class Problem(Uncopied, ReadOnce):
 
     scheme: Scheme
     _attributes = frozenset({"points", "form", "scheme"})
+    _hints = ELSEWHERE
     _takes_scheme = True  # whether the user may give a scheme
     _elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
         ("energies", "momentum", "angular_momentum", "time"),

@@ -118,3 +118,16 @@ def test_bad_sections_are_refused():
     ):
         with pytest.raises(ParameterError, match=text):
             mpm.section_forces(points, *arguments, **options)
+
+
+def test_a_section_at_the_end_of_a_beam():
+    """At a clamped end half of the moment is missing: it had been so without a message."""
+    points = beam("bspline2", 4, "ghost")
+    with pytest.warns(mpm.errors.SectionAtEndWarning, match="50 % is beyond the end"):
+        end = mpm.section_forces(points, (0.0, 0.5), (1, 0))
+    assert end.area == pytest.approx(0.5 * THICK, rel=1e-4)
+    first, second = (mpm.section_forces(points, (x, 0.5), (1, 0)).moment[0] for x in (0.25, 0.5))
+    # what the message says: continue the line
+    assert 2 * first - second == pytest.approx(exact(0.0)[2], rel=0.03)
+    with pytest.raises(ParameterError, match="at least the length of the points' domains"):
+        mpm.section_forces(points, (5.0, 0.5), (1, 0), width=0.05)
