@@ -134,8 +134,8 @@ def section_forces(
     along = (x - x0) @ n
     V = read("V") * _mean_weight(along, half, w) * counts
     reach = (along + half)[counts], (half - along)[counts], half[V > 0]
-    ends = np.array([np.max(d, initial=-np.inf) for d in reach])
-    up, down, longest = points.comm.allreduce(ends, op=MPI.MAX)
+    ends = (float(np.max(d, initial=-np.inf)) for d in reach)
+    up, down, longest = (points.comm.allreduce(end, op=MPI.MAX) for end in ends)
     if width is not None and w < 2 * longest * (1 - 1e-6):
         raise ParameterError(
             f"width = {w:g} m must be at least the length of the points' domains along the normal, "

@@ -18,7 +18,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
-from dolfinmpm.forms.termqueries import brief, tags_of
+from dolfinmpm.forms.termqueries import brief, tags_of, term_of
 
 __all__ = ["check_repeated", "check_weights"]
 
@@ -62,7 +62,8 @@ def check_repeated(form: ufl.Form) -> None:
     seen: list[ufl.Integral] = []
     for integral in form.integrals():
         marks = integral.metadata() or {}
-        if "points" not in marks or "law" in marks:
+        # laws and terms that are no quadrature, such as a contact, are compared elsewhere
+        if "points" not in marks or "law" in marks or term_of(integral) is not None:
             continue
         for other in seen:
             if _same_points(integral, other) and _same(integral.integrand(), other.integrand(), {}):

@@ -109,6 +109,9 @@ def test_a_load_that_is_there_twice():
     s.problem(s.F - s.weight(0) - s.weight(1))
     with pytest.raises(FormError, match="twice for the same points"):
         s.problem(s.F - s.weight() - s.weight(1))
+    side = mpm.Surface(s.points, lambda x: np.isclose(x[0], 2.0), normal=(1, 0))
+    beds = (mpm.springs(face, s.u, s.v, stiffness=1e6) for face in (s.top, side))
+    s.problem(sum(beds, s.F))
 
 
 def test_a_face_has_one_condition_on_the_pressure():
