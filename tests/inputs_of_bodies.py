@@ -235,7 +235,7 @@ INPUTS = {
         "velocity = a function must be a function of the",
     'mpm.frictional(s.V, "left", friction="a")': "friction = 'a' must be a number",
     's.motion(bcs=mpm.frictional(s.V, "left", friction=0.3))': "the frictional face at 'left' is",
-    's.solver(bcs=mpm.frictional(s.V, "left", friction=0.3))': "bcs holds a Face: make it with",
+    's.solver(bcs=mpm.frictional(s.V, "left", friction=0.3))': "side at 'left' acts by velocities",
     'mpm.frictional(s.V, "up", friction=0.3)': "side = 'up' must be one of \"left\", \"right\",",
     'mpm.frictional(s.S, "left", friction=0.3)': "faces act on a displacement; the field has shape",
     'absorbing(s, "north")': "side = 'north' must be one of \"left\", \"right\",",

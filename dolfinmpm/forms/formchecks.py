@@ -16,7 +16,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.compat import restrict
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.formsigns import MARK
@@ -36,6 +36,10 @@ __all__ = [
     "check_moving",
     "check_signs",
 ]
+
+
+# Ratio of two moduli of one body from which on they have different units
+_FAR = 100.0
 
 
 def check_form(form: Any) -> None:
@@ -179,12 +183,15 @@ def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
 
     Raises:
         FormError: A term of `mpm.momentum` has a negative factor.
+        ParameterError: A footing was made with a modulus far below those of the laws.
     """
+    moduli: list[tuple[Any, Any]] = []
     for integral in form.integrals():
         number = (integral.metadata() or {}).get("law")
         if number not in points.declarations:
             continue
         declaration = points.declarations[number]
+        moduli.append((getattr(declaration.law, "values", {}).get("E"), declaration.law))
         for part in declaration.terms:
             factor = _factor(integral.integrand(), part)
             if factor is not None and factor[0] < 0:
@@ -193,6 +200,28 @@ def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
                     "and stresses would have the wrong sign: write F = mpm.momentum(...), and "
                     "subtract loads"
                 )
+    if moduli and all(isinstance(E, float) for E, _ in moduli):
+        _check_given(form, *min(moduli, key=lambda pair: float(pair[0])))
+
+
+def _check_given(form: ufl.Form, E: float, law: Any) -> None:
+    """Refuse a penalty that was made with a modulus far below those of the laws.
+
+    The footing would sink into the body by itself: its load was 7 % too low with kPa for Pa.
+
+    Args:
+        form: Weak form, as the user wrote it.
+        E: Least Young's modulus of the laws (Pa).
+        law: Its law.
+    """
+    for field in extract_coefficients(form):
+        given, owner = getattr(field, "softest", None) or (E, "")
+        if given < E / _FAR:
+            raise ParameterError(
+                f"{owner} has E = {given:g} Pa, and {law!r} is {E / given:.3g} times stiffer: the "
+                "footing would sink into the body by itself. Give it the Young's modulus of the "
+                "body, in the unit of the law, or stiffness= (Pa/m)"
+            )
 
 
 def check_explicit(form: ufl.Form, increment: Any, points: MaterialPoints) -> None:

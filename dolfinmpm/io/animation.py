@@ -8,6 +8,7 @@ import os
 import pickle
 import re
 import tempfile
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.errors import DolfinMPMWarning, ParameterError, call_together, warn
 from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm.basis.refinement import leaves_on
 from dolfinmpm.body.location import bounds
@@ -109,6 +110,8 @@ class Film:
         self._lines = self._present_lines()
         self._unit = points.unit_of(look.colour)
         take_paths(self, [path])
+        self._undrawn = [0]  # number of frames, for a film that nobody closes
+        weakref.finalize(self, _leave, self._comm, path, self._folder, self._undrawn)
 
     def __enter__(self) -> Film:
         """The film itself."""
@@ -149,6 +152,7 @@ class Film:
 
         call_together(self._comm, keep)
         self._frames += 1
+        self._undrawn[0] = self._frames
 
     def _present_lines(self) -> Array | None:
         """Lines of the grid, or of the leaves that there are now. Collective."""
@@ -167,6 +171,7 @@ class Film:
         if self._frames < 0:
             return
         count, self._frames = self._frames, -1
+        self._undrawn[0] = 0
 
         def draw() -> None:
             folder = self._folder or contextlib.nullcontext()
@@ -182,6 +187,18 @@ class Film:
                 _draw_all(read, count, self.path, self._look, self._extent, self._lines, self._unit)
 
         call_together(self._comm, draw)
+
+
+def _leave(comm: MPI.Comm, path: Path, folder: Any, frames: list[int]) -> None:
+    """Warn of a film that has frames and was never closed: at its end, or at that of the run."""
+    if frames[0] > 0 and folder is not None:
+        folder.cleanup()
+        warn(
+            comm,
+            f"the film {path} has frames, and was never closed: no file is written. Use it in "
+            "`with mpm.animate(...) as film:`, or call film.close()",
+            DolfinMPMWarning,
+        )
 
 
 @collective

@@ -37,6 +37,7 @@ class FaceMotion(CarriedField):
     """Motion of the faces under a footing since it was made (m), by the whole increments."""
 
     level = None
+    softest: tuple[float, str] | None = None  # Young's modulus of the body as given, and its owner
 
 
 class RigidFooting(ReadOnce):
@@ -140,6 +141,8 @@ class RigidFooting(ReadOnce):
         motion = next(name for name in names if name not in points.fields)
         points.add_field(motion, (points.gdim,), "m")
         self._motion = FaceMotion(points, motion, (points.gdim,), "m")
+        if E is not None:
+            self._motion.softest = float(E), f"the RigidFooting on '{surface.name}'"
         edges = _edges(surface)
         self._faces = surface._cut(edges) if np.isfinite(edges).any() else surface
         self._motion.surface = self._faces

@@ -121,6 +121,12 @@ def check_conditions(bcs: Any, spaces: Sequence[Space]) -> list[Condition]:
                 "bcs holds a dolfinx.fem.DirichletBC, which knows nothing of active nodes and "
                 "increments; use mpm.fixed, mpm.rollers or mpm.prescribed"
             )
+        if hasattr(condition, "impedance"):
+            raise ParameterError(
+                f"the absorbing, frictional or free-field side at '{condition.where}' acts by "
+                "velocities, and this problem has none: take mpm.Newmark, mpm.GeneralisedAlpha or "
+                "mpm.Explicit, or hold the side with mpm.rollers or mpm.fixed"
+            )
         if not isinstance(condition, Condition):
             raise ParameterError(f"bcs holds {shown(condition)}: {made}")
         if not any(condition.space is space for space in spaces):

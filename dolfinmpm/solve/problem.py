@@ -100,8 +100,7 @@ class Problem(Uncopied, ReadOnce):
 
     scheme: Scheme
     _attributes = frozenset({"points", "form", "scheme"})
-    _hints = ELSEWHERE
-    _takes_scheme = True  # whether the user may give a scheme
+    _hints, _takes_scheme = ELSEWHERE, True  # whether the user may give a scheme
     _elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
         ("energies", "momentum", "angular_momentum", "time"),
         "it is for steps in time: mpm.Newmark, mpm.GeneralisedAlpha and mpm.Explicit",

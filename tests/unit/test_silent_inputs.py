@@ -136,3 +136,31 @@ def test_springs_are_not_told_to_be_a_contact():
     s = Block()
     with pytest.raises(FormError, match=r"springs at .* write F \+= \.\.\.$"):
         s.problem(s.F - mpm.springs(s.top, s.u, s.v, stiffness=1e6))
+
+
+def test_a_film_that_nobody_closes(tmp_path):
+    """It had been lost without a word."""
+    s = Block()
+    film = mpm.animate(s.points, tmp_path / "lost.gif", "density")
+    film.write(0.0)
+    with pytest.warns(mpm.errors.DolfinMPMWarning, match=r"lost\.gif has frames, .* film\.close"):
+        del film
+
+
+def test_a_footing_in_another_unit():
+    """Its load had been 7 % too low."""
+    s = Block()
+    c = fem.Constant(s.grid, 1e-3)
+    foot = mpm.RigidFooting(s.top, c, E=1e4)
+    with pytest.raises(
+        ParameterError, match=r"RigidFooting on 'surface1' has E = 10000 Pa, .* 1e\+03 times"
+    ):
+        s.problem(s.F + foot.contact(s.u, s.v))
+    s.problem(s.F + mpm.RigidFooting(s.top, c, E=5e6).contact(s.u, s.v))
+
+
+def test_an_absorbing_side_in_steps_without_time():
+    s = Block()
+    s.bcs = mpm.absorbing(s.V, "bottom", density=1800.0, p_speed=300.0)
+    with pytest.raises(ParameterError, match=r"side at 'bottom' acts by velocities"):
+        s.problem(s.F)
