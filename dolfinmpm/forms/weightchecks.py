@@ -60,6 +60,14 @@ def check_repeated(form: ufl.Form) -> None:
         FormError: Two terms are the same up to the names of their indices, at some points.
     """
     seen: list[ufl.Integral] = []
+    terms = [(i, term_of(i)) for i in form.integrals()]
+    # springs that are subtracted have a message of their own
+    beds = [
+        t for i, t in terms if getattr(t, "kind", "") == "springs" and i.integrand() == t.integrand
+    ]
+    for k, bed in enumerate(beds):
+        if any(bed.surface is other.surface for other in beds[:k]):
+            raise FormError(f"the form has {bed!r} twice, and they would act twice: leave one out")
     for integral in form.integrals():
         marks = integral.metadata() or {}
         # laws and terms that are no quadrature, such as a contact, are compared elsewhere

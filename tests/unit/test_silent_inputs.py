@@ -112,6 +112,9 @@ def test_a_load_that_is_there_twice():
     side = mpm.Surface(s.points, lambda x: np.isclose(x[0], 2.0), normal=(1, 0))
     beds = (mpm.springs(face, s.u, s.v, stiffness=1e6) for face in (s.top, side))
     s.problem(sum(beds, s.F))
+    bed = mpm.springs(s.top, s.u, s.v, stiffness=1e6)
+    with pytest.raises(FormError, match=r"springs at 'surface1', 1e\+06 Pa/m twice"):
+        s.problem(s.F + bed + bed)
 
 
 def test_a_face_has_one_condition_on_the_pressure():
