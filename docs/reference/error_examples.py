@@ -228,6 +228,11 @@ def UnreadOptionWarning():
     problem(points, V, *mpm.fixed(V, "bottom"), *down, petsc_options={"ksp_tpye": "cg"}).step()
 
 
+def FreeMotionWarning():
+    points, V = block()
+    problem(points, V, *mpm.rollers(V, "bottom")).step()  # free along x
+
+
 def HeldLoadWarning():
     points, V = block()
     base = mpm.Boundary.from_polygon(points, [(0, 0), (1, 0)], closed=False)

@@ -30,6 +30,7 @@ __all__ = [
     "FieldShapeError",
     "FormError",
     "FreeAxisWarning",
+    "FreeMotionWarning",
     "HeldLoadWarning",
     "IdleConditionWarning",
     "IdlePointsWarning",
@@ -163,6 +164,10 @@ class IdlePointsWarning(DolfinMPMWarning):
 
 class FreeAxisWarning(DolfinMPMWarning):
     """An axisymmetric body reaches the axis without a radial condition there."""
+
+
+class FreeMotionWarning(DolfinMPMWarning):
+    """Nothing holds a rigid motion of a body without inertia, which may lie anywhere along it."""
 
 
 class HeldLoadWarning(DolfinMPMWarning):

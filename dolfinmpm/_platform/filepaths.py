@@ -32,7 +32,7 @@ def existing_file(what: str, value: Any) -> Path:
     """
     file = file_path(what, value)
     if not file.is_file():
-        raise FileNotFoundError(f"there is no file {file}")
+        raise FileNotFoundError(f"there is no file {file}, seen from {Path.cwd()}")
     return file
 
 

@@ -61,8 +61,8 @@ from dolfinmpm.solve.problemchecks import (
     check_kinds_of_conditions,
     check_times,
     refuse_rates,
+    warn_of_conditions,
     warn_of_free_axis,
-    warn_of_idle_conditions,
 )
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
@@ -346,7 +346,7 @@ class Problem(Uncopied, ReadOnce):
             warn_of_free_axis(self.points, self.here)
             # a body that moves in time may reach a side later
             if not self.scheme.in_time:
-                warn_of_idle_conditions(self.bcs, self.here.fields)
+                warn_of_conditions(self, step is not None)
         return self.here
 
     def _set_penalties(self, here: Activation) -> None:

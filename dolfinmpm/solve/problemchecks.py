@@ -16,6 +16,7 @@ from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import (
     FormError,
     FreeAxisWarning,
+    FreeMotionWarning,
     ParameterError,
     UndeterminedFieldError,
     raise_together,
@@ -23,7 +24,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis import LeafBasis
-from dolfinmpm.basis.conditionchecks import idle, warn_idle
+from dolfinmpm.basis.conditionchecks import free_motions, idle, warn_idle
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import UNSET, MaterialPoints, PointField
@@ -32,6 +33,7 @@ from dolfinmpm.cut.activecells import active_nodes, active_on_grid
 from dolfinmpm.cut.conditionsonleaves import on_leaves
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.formchecks import check_moving
+from dolfinmpm.forms.termqueries import depends_on
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
@@ -45,8 +47,8 @@ __all__ = [
     "refuse_field_tags",
     "refuse_rates",
     "refuse_time",
+    "warn_of_conditions",
     "warn_of_free_axis",
-    "warn_of_idle_conditions",
 ]
 
 # A domain reaches the axis if it ends within this share of its half-length from the axis
@@ -252,9 +254,16 @@ def check_pressure_conditions(conditions: Sequence[Condition], here: Activation)
         )
 
 
-def warn_of_idle_conditions(conditions: Sequence[Condition], fields: Sequence[ActiveField]) -> None:
-    """Warn on rank 0 of conditions that constrain no active node. Collective."""
-    warn_idle(fields[0].space.grid.comm, _idle(conditions, fields))
+def warn_of_conditions(problem: Any, steps: bool) -> None:
+    """Warn of conditions that constrain no active node, and of motions that are free. Collective.
+
+    Args:
+        problem: A problem without time, at its first activation.
+        steps: Whether the activation is for a step, which moves the body.
+    """
+    warn_idle(problem.comm, _idle(problem.bcs, problem.here.fields))
+    if steps:
+        _warn_of_free_motions(problem)
 
 
 def _idle(conditions: Sequence[Condition], fields: Sequence[ActiveField]) -> list[str]:
@@ -328,4 +337,37 @@ def warn_of_free_axis(points: MaterialPoints, here: Activation) -> None:
             f"the body reaches the axis x[0] = 0, and {free} nodes there are free to move radially,"
             ' as no material can; hold them with mpm.rollers(space, "left")',
             FreeAxisWarning,
+        )
+
+
+def _warn_of_free_motions(problem: Any) -> None:
+    """Warn if nothing holds a rigid motion of a body without inertia. Collective.
+
+    If no load drives the motion, the step converges, and rounding decides where the body lies: a
+    block on rollers moved sideways by three times its settlement on one rank, and not on two.
+    Bodies without conditions, refined spaces, and terms that may hold a motion, are not looked at.
+
+    Args:
+        problem: The problem, at its first activation.
+    """
+    points, first = problem.points, problem.here.fields[0]
+    u = first.space.increment
+    if not problem.bcs or len(problem.fields) > 1 or u.ufl_shape != (points.gdim,):
+        return
+    # nodes of leaves, and constraints of the user, may hold what nodes of the grid do not
+    if problem.fields[0].prolongate is not None or first.space.refinement is not None:
+        return
+    for integral in problem.form.given.integrals():
+        marks = integral.metadata() or {}
+        # neither stresses nor ghost penalties hold a rigid motion
+        if not {"law", "facets"} & set(marks) and depends_on(integral.integrand(), [u]):
+            return
+    free = free_motions(problem.bcs, first.space, active_on_grid(first), points.axisymmetric)
+    if free:
+        warn(
+            points.comm,
+            f"no condition holds the body's rigid motions {', '.join(free)}, and without inertia "
+            "rounding decides where it lies along them: hold one side or one node, as by "
+            'mpm.rollers(space, "left")',
+            FreeMotionWarning,
         )

@@ -167,3 +167,16 @@ def test_an_absorbing_side_in_steps_without_time():
     s.bcs = mpm.absorbing(s.V, "bottom", density=1800.0, p_speed=300.0)
     with pytest.raises(ParameterError, match=r"side at 'bottom' acts by velocities"):
         s.problem(s.F)
+
+
+def test_a_rigid_motion_that_nothing_holds():
+    """Rounding had moved the block sideways, on one rank in another way than on two."""
+    s = Block()
+    s.bcs = mpm.rollers(s.V, "bottom")
+    with pytest.warns(mpm.errors.FreeMotionWarning, match="rigid motions along x, and without"):
+        s.problem(s.F - s.weight()).step()
+    # springs, or the condition of the message, hold it
+    side = mpm.Surface(s.points, lambda x: np.isclose(x[0], 2.0), normal=(1, 0))
+    s.problem(s.F + mpm.springs(side, s.u, s.v, stiffness=1e6)).step()
+    s.bcs = s.bcs + mpm.rollers(s.V, "left")
+    s.problem(s.F - s.weight()).step()
