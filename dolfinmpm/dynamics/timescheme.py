@@ -197,6 +197,13 @@ class NewmarkScheme(TimedScheme):
         self.motion.begin(self.jumped, any(problem.loads.change) or self._constant is not None)
         self.motion.ledger.begin()
 
+    def adapted(self) -> None:
+        """See `TimedScheme`. The step begins with the energies of the points that are there now.
+
+        What merging has taken would else count again in the step, as a loss of the mapping.
+        """
+        self.motion.ledger.begin()
+
     def end(self, record: StepRecord | None) -> None:
         """See `TimedScheme`. The substeps taken so far count. Collective."""
         self.motion.ledger.end()

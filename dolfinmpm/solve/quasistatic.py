@@ -289,6 +289,7 @@ class QuasiStatic(Problem):
         if self.form.adaptive:
             adapted = adapt(self)
             self._record.split, self._record.merged = adapted.split, adapted.merged
+            self.scheme.adapted()
 
     def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
         """Take a step or a substep; return None, or the reason of a failure. Collective.

@@ -85,6 +85,9 @@ class Static(Scheme):
         if t is not None:
             refuse_time(t, type(problem).__name__)
 
+    def adapted(self) -> None:
+        """Points have followed the leaves since `begin`. Collective."""
+
     def substep(self, done: float, share: float) -> Step:
         """The next substep.
 
