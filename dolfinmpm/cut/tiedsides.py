@@ -41,7 +41,8 @@ def tied(space: Space, period: float, *, axis: int = 0) -> TiedSides:
     (Zienkiewicz, Bicanic & Shen 1989).
 
     The grid must have at least one free cell beyond both sides of the body, on quadratic and cubic
-    splines two. All ranks know all nodes, which limits the size of such problems on many ranks.
+    splines two, and one more for each cell that the body moves or begins to move. All ranks know
+    all nodes, which limits the size of such problems on many ranks.
 
     Ghost penalties take the cells beside tied sides for cut cells, and would stiffen them. So the
     ghost penalty of the mass is 0 by default here. Where the surface cuts cells, take a lumped
@@ -193,8 +194,8 @@ class TiedSides:
         error = None
         if nodes.size and (along.min() <= free or along.max() >= last - free):
             error = ParameterError(
-                "tied sides need a free cell beside the body: the body reaches an end of the grid "
-                f"along the axis {self.axis}; add cells there"
+                "tied sides need free cells beside the body, two or three where it moves a little: "
+                f"the body reaches an end of the grid along the axis {self.axis}; add cells there"
             )
         raise_together(basis.grid.comm, error)
         others = np.delete(ijk, self.axis, axis=1)

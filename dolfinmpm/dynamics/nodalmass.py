@@ -308,8 +308,9 @@ class Mass:
         ksp.setOperators(matrix.petsc)
         if self._terms.factorised and not many:
             ksp.setOptionsPrefix(_PREFIX)
-            # a message of CHOLMOD for each step is no help
-            PETSc.Options(_PREFIX)["mat_cholmod_print"] = 0
+            if unknowns.comm.size == 1:
+                # a message of CHOLMOD for each step is no help; PETSc tells of options in vain
+                PETSc.Options(_PREFIX)["mat_cholmod_print"] = 0
             set_cholesky(pc, matrix.petsc)
             try:
                 ksp.setUp()

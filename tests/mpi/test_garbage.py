@@ -1,4 +1,4 @@
-"""What PETSc frees on several ranks together is freed as steps go on."""
+"""What PETSc holds on several ranks: objects that wait to be freed, and options."""
 
 from __future__ import annotations
 
@@ -17,3 +17,10 @@ def test_matrices_of_former_steps_are_freed():
     assert len(waiting) == 2
     # every step lets go of a matrix at least
     assert max(waiting) < 4
+
+
+@pytest.mark.skipif(shutil.which("mpirun") is None, reason="needs mpirun")
+def test_petsc_tells_of_no_option_that_it_did_not_need():
+    done = start("tests/mpi/run_tied_splines.py", ranks=2)
+    assert done.returncode == 0, done.stderr[-4000:]
+    assert "not used" not in done.stdout + done.stderr

@@ -174,5 +174,5 @@ def test_sides_that_lean_or_cut_cells_are_one_period_apart():
 
 def test_a_body_at_the_end_of_the_grid_is_refused():
     _, problem = layer("gimp", free=0)
-    with pytest.raises(ParameterError, match="need a free cell beside the body"):
+    with pytest.raises(ParameterError, match="need free cells beside the body"):
         problem.step(0.1)
