@@ -218,17 +218,13 @@ class Newton:
         The line searches of `SEARCHES`, and `Secants`, end with a residual at the end of their
         step. So the operator has the increments of the solution after SNES has ended.
         """
-        linear, contact, unknowns = self.linear, self._in_contact(operator), operator.here.unknowns
+        linear, contact = self.linear, self._in_contact(operator)
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
         now: Residual = Residual(np.empty(0), 0.0, 0.0)
-        # residual at the end of the present step, if secants have found it already
-        ahead: Residual | None = None
-        secants = None
-        if contact:
-            secants = Secants(unknowns.comm, operator.residual, _displacements(operator))
+        ahead: Residual | None = None  # at the end of the present step, if secants have found it
+        secants = _secants(operator) if contact else None
         spare, smallest, resolved = _SPARE * self.tolerance, 0.0, self._resolved(operator)
-        whole = True
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
 
@@ -238,11 +234,10 @@ class Newton:
             f.getArray()[:], ahead = now.values, None
 
         def shorten(x: PETSc.Vec, y: PETSc.Vec) -> None:
-            nonlocal ahead, whole
+            nonlocal ahead
             assert secants is not None
             share, ahead = secants.find(x.getArray(readonly=True), -y.getArray(readonly=True), now)
             y.scale(share)
-            whole = share == 1.0
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             # with several fields, the field with the smallest reference needs the best solution
@@ -250,11 +245,6 @@ class Newton:
             if not weak.serves(now.norm, enough):
                 operator.tangent(matrix)
                 weak.assembled(now.norm, enough)
-
-        def may_round() -> bool:
-            # secants shorten steps in contact; where nothing touches they follow rounding alone
-            full = secants is None or whole or not _rough(operator)
-            return resolved > 0.0 and full and not (contact and _touched(operator))
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             nonlocal smallest
@@ -268,7 +258,8 @@ class Newton:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
-            if reason == Reason.ITERATING and iteration > 0 and may_round():
+            may_end = reason == Reason.ITERATING and iteration > 0 and resolved > 0.0
+            if may_end and _takes_whole_steps(operator, secants):
                 others = by_field is None or others_balanced(operator, by_field, self.tolerance)
                 limit = resolved * (_STALLED if balance.stalls else 1.0)
                 if others and _moved(operator, snes.getSolutionUpdate()) <= limit:
@@ -325,13 +316,21 @@ class Newton:
         return self.linear.solve(-f)
 
 
-def _displacements(operator: Operator) -> Array | None:
-    """1 for unknown displacements, 0 for others; None if all are displacements. Collective."""
-    here = operator.here
-    if len(here.movers) == len(here.fields):
-        return None
-    ones = np.ones(here.unknowns.owned)
-    return np.sum([here.unknowns.only(k, ones) for k in here.movers], axis=0)
+def _secants(operator: Operator) -> Secants:
+    """Secants along the displacements, which may be some of the unknowns. Collective."""
+    here, unknowns, displacements = operator.here, operator.here.unknowns, None
+    if len(here.movers) < len(here.fields):
+        ones = np.ones(unknowns.owned)
+        displacements = np.sum([unknowns.only(k, ones) for k in here.movers], axis=0)
+    return Secants(unknowns.comm, operator.residual, displacements)
+
+
+def _takes_whole_steps(operator: Operator, secants: Secants | None) -> bool:
+    """Whether the last Newton step was a whole one, or shortened by rounding alone. Collective."""
+    if secants is None:
+        return True
+    # secants shorten steps in contact; where nothing touches they follow rounding
+    return (secants.whole or not _rough(operator)) and not _touched(operator)
 
 
 def _rough(operator: Operator) -> bool:

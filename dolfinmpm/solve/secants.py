@@ -61,6 +61,7 @@ class Secants:
 
     Attributes:
         useless: Number of useless steps in a row.
+        whole: Whether the last step was a whole one.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class Secants:
         displacements: Array | None = None,
     ):
         self._comm, self._residual, self._displacements = comm, residual, displacements
-        self.useless = 0
+        self.useless, self.whole = 0, True
 
     @property
     def stuck(self) -> bool:
@@ -102,6 +103,7 @@ class Secants:
             best = (_shorten if grows else _false_position)(at, start, end)
         grows = grows and not mixed
         self.useless = self.useless + 1 if grows or best.share < _USELESS else 0
+        self.whole = best.share == 1.0
         if best is not trials[-1]:
             best = at(best.share)
         return best.share, best.found
