@@ -66,6 +66,9 @@ _RESOLVED = 4 * np.finfo(float).eps
 # Changes up to so many times larger end iterations that stall: in soil that hardly changes its
 # volume, rounded strains make forces that move nodes by more
 _STALLED = 256.0
+# Shortest share of a Newton step that secants try on walls: where many markers begin to touch, a
+# tenth of a step overshoots
+_NEAREST_ON_WALLS = 0.01
 
 
 class Newton:
@@ -322,7 +325,9 @@ def _secants(operator: Operator) -> Secants:
     if len(here.movers) < len(here.fields):
         ones = np.ones(unknowns.owned)
         displacements = np.sum([unknowns.only(k, ones) for k in here.movers], axis=0)
-    return Secants(unknowns.comm, operator.residual, displacements)
+    if any(contact.pushes for contact in operator.contacts):
+        return Secants(unknowns.comm, operator.residual, displacements)
+    return Secants(unknowns.comm, operator.residual, displacements, _NEAREST_ON_WALLS)
 
 
 def _takes_whole_steps(operator: Operator, secants: Secants | None) -> bool:

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 # Share of the residual's component along the step that may remain, and most trials to reach it
 _LEFT, _MOST = 0.5, 5
 # Longest and shortest step in these trials, as shares of Newton's step
-_FURTHEST, _NEAREST = 2.0, 0.01
+_FURTHEST, _NEAREST = 2.0, 0.1
 # Most halvings of a step at whose end a law has no stress
 _HALVINGS = 9
 # Factor, and most uses of it, to shorten a step along which the residual grows at first
@@ -58,6 +58,7 @@ class Secants:
             None if all are. The component is the work of the displacements alone. It may grow along
             the step as long as the pressures do not fulfil their equations. Then the whole step is
             taken.
+        nearest: Shortest step in the trials, as a share of Newton's step.
 
     Attributes:
         useless: Number of useless steps in a row.
@@ -69,8 +70,10 @@ class Secants:
         comm: MPI.Intracomm,
         residual: Callable[[Array], Residual],
         displacements: Array | None = None,
+        nearest: float = _NEAREST,
     ):
         self._comm, self._residual, self._displacements = comm, residual, displacements
+        self._nearest = nearest
         self.useless, self.whole = 0, True
 
     @property
@@ -100,7 +103,7 @@ class Secants:
             end = at(0.5 * end.share)
         mixed, grows, best = self._displacements is not None, start.along > 0.0, end
         if math.isfinite(end.found.norm) and not (mixed and grows):
-            best = (_shorten if grows else _false_position)(at, start, end)
+            best = _shorten(at, start, end) if grows else self._false_position(at, start, end)
         grows = grows and not mixed
         self.useless = self.useless + 1 if grows or best.share < _USELESS else 0
         self.whole = best.share == 1.0
@@ -108,34 +111,33 @@ class Secants:
             best = at(best.share)
         return best.share, best.found
 
+    def _false_position(
+        self, at: Callable[[float], TrialState], start: TrialState, end: TrialState
+    ) -> TrialState:
+        """The trial state with a small enough component, or the last trial state. Collective."""
+        enough, nearest = _LEFT * abs(start.along), self._nearest * end.share
+        other, along = start, start.along
+        for _ in range(_MOST):
+            if abs(end.along) <= enough or end.along == along:
+                break
+            share = end.share - end.along * (end.share - other.share) / (end.along - along)
+            share = min(max(share, nearest), _FURTHEST)
+            if share == end.share:
+                # the shortest or longest step has been tried already
+                break
+            there = at(share)
+            if not math.isfinite(there.found.norm):
+                break
+            if there.along * end.along < 0.0:
+                other, along = end, end.along
+            else:
+                along *= 0.5
+            end = there
+        return end
+
     def _along(self, step: Array, found: Residual) -> float:
         moved = step if self._displacements is None else self._displacements * step
         return self._comm.allreduce(float(moved @ found.values), op=MPI.SUM)
-
-
-def _false_position(
-    at: Callable[[float], TrialState], start: TrialState, end: TrialState
-) -> TrialState:
-    """The trial state with a small enough component, or the last trial state. Collective."""
-    enough, nearest = _LEFT * abs(start.along), _NEAREST * end.share
-    other, along = start, start.along
-    for _ in range(_MOST):
-        if abs(end.along) <= enough or end.along == along:
-            break
-        share = end.share - end.along * (end.share - other.share) / (end.along - along)
-        share = min(max(share, nearest), _FURTHEST)
-        if share == end.share:
-            # the shortest or longest step has been tried already
-            break
-        there = at(share)
-        if not math.isfinite(there.found.norm):
-            break
-        if there.along * end.along < 0.0:
-            other, along = end, end.along
-        else:
-            along *= 0.5
-        end = there
-    return end
 
 
 def _shorten(at: Callable[[float], TrialState], start: TrialState, end: TrialState) -> TrialState:
