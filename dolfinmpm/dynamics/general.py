@@ -314,7 +314,7 @@ class GeneralSteps(ExplicitBase):
                 self.kinks.add_damped(V)
             f -= damped
             self._resisting["damping"] = damped
-        return mass.solve(forces, np.zeros_like(V)).arrays[0]
+        return mass.accelerations(forces)
 
     @stages.solve
     def _end(

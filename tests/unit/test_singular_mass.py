@@ -45,6 +45,26 @@ def run(problem, first, last):
         yield (e.kinetic + e.strain) / max(e.initial, 1e-300)
 
 
+@pytest.mark.parametrize(("per_cell", "singular"), [(2, True), (4, False)])
+def test_explicit_steps_tell_that_forces_are_left_out(per_cell, singular):
+    """A layer of one cell of splines swung at twice its frequency, without a message."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [H * np.arange(-1, 11), H * np.arange(-3, 5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (8 * H, H)), per_cell, 1000.0)
+    x = points["x"]
+    points.add_field("velocity", (2,), "m/s")
+    points["velocity"] = 0.1 * np.cos(np.pi * x[:, :1] / (8 * H)) * [0.0, 1.0]
+    V = mpm.Space(grid, "bspline3")
+    form = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.2), points, V.increment, V.test)
+    problem = mpm.Explicit(form, V.increment, points, mass="consistent", courant=0.3)
+    if singular:
+        with pytest.warns(SingularMassWarning, match="% of the forces act along motions of nodes"):
+            problem.step(5e-3)
+    else:
+        problem.step(5e-3)
+    e = problem.energies()
+    assert abs(e["integrator"]) < 0.01 * e.initial
+
+
 @pytest.mark.parametrize("angle", [0.3, 1.0])
 def test_a_body_with_fewer_points_than_nodes_keeps_energy_and_momentum(angle, tmp_path):
     problem = flight(angle)
