@@ -60,8 +60,9 @@ class RigidBodies:
         #: Energy stored by the penalties of contact, now and before the first step (J).
         self.stored = 0.0
         self.given: float | None = None
-        #: Whether points have come, gone, split or merged since the last step.
-        self.changed = False
+        #: Whether points have come, gone, split or merged since the last step, and whether the user
+        #: did it.
+        self.changed = self.by_user = False
         self._before = 0.0
         for contact in contacts:
             contact.limit = self._limit
@@ -232,10 +233,15 @@ class RigidBodies:
             accelerate(body, force, kick)
 
     def _begin_anew(self, stored: float) -> None:
-        """Count what corners of other points store at the start of a step as given (J)."""
+        """Count what corners of other points store at the start of a step (J).
+
+        It is given by a user who changes points. What points store that have split or merged in
+        the steps is an error of these.
+        """
         assert self.given is not None
-        self.given += stored - self.stored
-        self.stored, self.changed = stored, False
+        if self.by_user:
+            self.given += stored - self.stored
+        self.stored, self.changed, self.by_user = stored, False, False
 
     def commit(self, contacts: Sequence[ActiveRigidContact]) -> float:
         """Keep the poses of the bodies, and the forces on them. Collective.
@@ -284,7 +290,7 @@ class RigidBodies:
         rows = {f"rigid body {k}": body.state() for k, body in enumerate(self.all)}
         friction_work = np.array([c.dissipated for c in self.contacts])
         given = math.nan if self.given is None else self.given
-        stored = np.array([self.stored, given, float(self.changed)])
+        stored = np.array([self.stored, given, float(self.changed), float(self.by_user)])
         return {**rows, "friction's work": friction_work, "stored in contact": stored}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -297,7 +303,7 @@ class RigidBodies:
                 contact.dissipated = float(done)
             self.stored, given, *changed = (float(value) for value in state["stored in contact"])
             self.given = None if math.isnan(given) else given
-            self.changed = any(changed)
+            self.changed, self.by_user = any(changed), any(changed[1:])
 
 
 def _same(one: RigidContact, other: RigidContact) -> bool:

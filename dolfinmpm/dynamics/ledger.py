@@ -50,7 +50,6 @@ LOSSES = (
 )  # fmt: skip
 # First values, from which changes are measured
 _FIRST = ("kinetic", "strain", "bodies", "rubbed", "initial", "started")
-
 # Relative change of a sum over the points by the order in which ranks add them up
 _ROUNDING = 1e-12
 
@@ -227,8 +226,7 @@ class Ledger:
     def begin(self) -> None:
         """Record the energies before a step, or before a call with several steps. Collective.
 
-        The first call records all first energies. Later calls account for velocities that the user
-        has changed since the last step.
+        The first call records all first energies, later ones what the user has changed since then.
         """
         first, kinetic = self._first, self.kinetic()
         if not first["started"]:
@@ -243,6 +241,12 @@ class Ledger:
             self._account(kinetic)
         self._last = kinetic
 
+    def adapted(self) -> None:
+        """Go on with points that the steps have split; contact stores no energy of the user's."""
+        by_user = self._bodies.by_user
+        self.begin()
+        self._bodies.by_user = by_user
+
     def _account(self, kinetic: float) -> None:
         """Account for what has changed between steps, to a kinetic energy (J). Collective."""
         first, (given, merged) = self._first, self._changes.taken()
@@ -252,6 +256,7 @@ class Ledger:
         first["initial"] += float(given[1] + given[2])
         self._bodies.stored += float(given[2])
         self._bodies.changed |= bool(given[3] + merged[3] > 0.0)
+        self._bodies.by_user |= bool(given[3] + merged[3] > 0.0)
         self._last += float(merged[0])
         if self._set_by_user(kinetic):
             # changed velocities count as velocities at the present time
@@ -262,10 +267,7 @@ class Ledger:
         self._last = kinetic
 
     def _set_by_user(self, kinetic: float) -> bool:
-        """Whether the user has changed velocities since the last step.
-
-        Ranks add up the energy in another order after a restart, which changes its last digits.
-        """
+        """Whether velocities changed since the last step; a restart changes the last digits."""
         return not math.isclose(kinetic, self._last, rel_tol=_ROUNDING)
 
     @property
@@ -288,10 +290,7 @@ class Ledger:
         return float(self._points.comm.allreduce(kinetic_energy(self._points), op=MPI.SUM))
 
     def moving(self) -> float:
-        """Kinetic energy of points, with scaled inertia, and of rigid bodies (J). Collective.
-
-        The energy stored by contact with rigid bodies since the first step is included.
-        """
+        """Kinetic energy of points, scaled, and of bodies, and that of contact (J). Collective."""
         bodies = self._bodies
         own = bodies.kinetic() + bodies.stored - (bodies.given or 0.0)
         return self.mass_scaling * self.end() + own

@@ -202,7 +202,7 @@ class NewmarkScheme(TimedScheme):
 
         What merging has taken would else count again in the step, as a loss of the mapping.
         """
-        self.motion.ledger.begin()
+        self.motion.ledger.adapted()
 
     def end(self, record: StepRecord | None) -> None:
         """See `TimedScheme`. The substeps taken so far count. Collective."""

@@ -212,3 +212,22 @@ def test_the_energy_that_merging_takes_at_the_start_of_a_step_counts_once(kind):
     assert abs(after["projection"] - before["projection"]) < 0.1 * lost
     kept = before.kinetic + before.strain - after.kinetic - after.strain
     assert kept == pytest.approx(lost, rel=0.1)
+
+
+def test_contact_of_points_that_the_steps_split_is_no_energy_of_the_user():
+    """What the contact of new corners stores more had counted as first energy: 5 % of the work."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(-2.0, 3), np.arange(0.0, 5)])
+    tool = mpm.RigidBody(mpm.Box((-0.49, 2.0), (0.71, 3.4)), velocity=(0.8, -1.8), fillet=0.1)
+    points = mpm.fill(grid, mpm.Box((-1.37, 0), (1.62, 2)), 2, 1800.0)
+    V = mpm.Space(grid, "gimp", refine=mpm.where_it_yields(points, 0.25), levels=2)
+    u, v = V.increment, V.test
+    law = mpm.materials.VonMises(2e6, 0.3, yield_stress=16e3)
+    F = mpm.momentum(law, points, u, v) + mpm.contact(tool, points, u, v, friction=0.3)
+    problem = mpm.Newmark(F, u, points, mpm.fixed(V, "bottom"), stabilisation="ghost")
+    records = [problem.step(t) for t in mpm.times(0.1, dt=0.025)]
+    assert sum(record.split for record in records) > 0
+    e = problem.energies()
+    assert e.external > 1e4
+    assert abs(e.initial) < 1e-9 * e.external
+    whole = e.kinetic + e.strain + e.contact + e.dissipated
+    assert whole == pytest.approx(e.external, rel=1e-9)
