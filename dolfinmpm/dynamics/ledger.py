@@ -242,7 +242,7 @@ class Ledger:
         self._last = kinetic
 
     def adapted(self) -> None:
-        """Go on with points that the steps have split; contact stores no energy of the user's."""
+        """Begin a step whose points the steps have split: not a change by the user. Collective."""
         by_user = self._bodies.by_user
         self.begin()
         self._bodies.by_user = by_user
@@ -255,8 +255,9 @@ class Ledger:
         first["strain"] += float(merged[1] + given[1])
         first["initial"] += float(given[1] + given[2])
         self._bodies.stored += float(given[2])
-        self._bodies.changed |= bool(given[3] + merged[3] > 0.0)
-        self._bodies.by_user |= bool(given[3] + merged[3] > 0.0)
+        touches = bool(given[3] + merged[3] > 0.0)
+        self._bodies.changed |= touches
+        self._bodies.by_user |= touches
         self._last += float(merged[0])
         if self._set_by_user(kinetic):
             # changed velocities count as velocities at the present time

@@ -134,7 +134,7 @@ class Newton:
         if guess is not None:
             self.guess.record_use(outcome.reason is None)
         # secants replace the line searches; only the first guess can change
-        others = [s for s in self.searches if s != self.search and not contact]
+        others = [s for s in self.searches if s != self.search and not self._shortens(operator)]
         for search in [self.search, *others] if guess is not None else others:
             # no line search helps after the linear solver has failed
             if outcome.reason is None or self.linear.failed:
@@ -148,15 +148,14 @@ class Newton:
         return outcome
 
     def _in_contact(self, operator: Operator) -> bool:
-        """Whether secants apply: rough walls, or rigid bodies and no unknowns but displacements."""
-        here = operator.here
-        if not self.searches:
-            return False
+        """Whether rigid bodies may touch, and displacements are the only unknowns."""
+        displacements = len(operator.here.movers) == len(operator.here.fields)
+        return bool(self.searches) and displacements and _meets(operator)
+
+    def _shortens(self, operator: Operator) -> bool:
+        """Whether secants apply: in contact, and on walls with friction."""
         # markers that slide have no stiffness, so that a whole step may slide back too far
-        if _rough(operator):
-            return True
-        displacements = len(here.movers) == len(here.fields)
-        return displacements and any(contact.pushes for contact in operator.contacts)
+        return self._in_contact(operator) or (bool(self.searches) and _rough(operator))
 
     def _attempt(
         self,
@@ -222,11 +221,12 @@ class Newton:
         step. So the operator has the increments of the solution after SNES has ended.
         """
         linear, contact = self.linear, self._in_contact(operator)
+        shortens = self._shortens(operator)
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
         now: Residual = Residual(np.empty(0), 0.0, 0.0)
         ahead: Residual | None = None  # at the end of the present step, if secants have found it
-        secants = _secants(operator) if contact else None
+        secants = _secants(operator) if shortens else None
         spare, smallest, resolved = _SPARE * self.tolerance, 0.0, self._resolved(operator)
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
@@ -273,8 +273,8 @@ class Newton:
             return Reason.DIVERGED_LINE_SEARCH if given_up else reason
 
         snes = linear.snes
-        self._set_search(snes, SEARCHES[0] if contact else self.search)
-        if contact:
+        self._set_search(snes, SEARCHES[0] if shortens else self.search)
+        if shortens:
             snes.setLineSearchPreCheck(shorten)
         snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self.max_iterations)
         snes.setFunction(residual, linear.vector())
@@ -325,7 +325,7 @@ def _secants(operator: Operator) -> Secants:
     if len(here.movers) < len(here.fields):
         ones = np.ones(unknowns.owned)
         displacements = np.sum([unknowns.only(k, ones) for k in here.movers], axis=0)
-    if any(contact.pushes for contact in operator.contacts):
+    if _meets(operator):
         return Secants(unknowns.comm, operator.residual, displacements)
     return Secants(unknowns.comm, operator.residual, displacements, _NEAREST_ON_WALLS)
 
@@ -336,6 +336,11 @@ def _takes_whole_steps(operator: Operator, secants: Secants | None) -> bool:
         return True
     # secants shorten steps in contact; where nothing touches they follow rounding
     return (secants.whole or not _rough(operator)) and not _touched(operator)
+
+
+def _meets(operator: Operator) -> bool:
+    """Whether the form has rigid bodies that may touch."""
+    return any(contact.pushes for contact in operator.contacts)
 
 
 def _rough(operator: Operator) -> bool:
