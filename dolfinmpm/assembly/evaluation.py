@@ -136,6 +136,11 @@ class Evaluation(ActiveTerm):
             for region in self.regions:
                 region.sampled = False
 
+    def keep_results(self) -> None:
+        """Keep the laws' results for the end of the step, though no tangent is asked for."""
+        for region in self.regions:
+            region.keeps = True
+
     def moduli(self) -> Array:
         """Moduli of the laws' present tangents; see `dolfinmpm.cut.facetmoduli`.
 

@@ -58,6 +58,7 @@ class Region:
         terms, part: The arguments.
         failure: The point at which a law found no stress in the last call, or None.
         sampled: Whether tangents are those of a sample of the points.
+        keeps: Whether results of laws are kept, though no tangent is asked for.
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class Region:
         part: ActiveRegion,
         shared: Mapping[tuple, Array],
     ):
-        self.terms, self.part, self.sampled = terms, part, False
+        self.terms, self.part, self.sampled, self.keeps = terms, part, False, False
         self.failure: PointFailure | None = None
         self._points, self._unknowns = points, unknowns
         widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
@@ -192,7 +193,7 @@ class Region:
         """
         s = self.part.stencils[0]
         # a cached property: explicit steps never ask for a tangent
-        wanted = known or again or "tangent" in vars(self.terms)
+        wanted = known or again or self.keeps or "tangent" in vars(self.terms)
         if not (wanted and self._keeps[k]):
             return None
         if k not in self._kept:
@@ -351,8 +352,7 @@ class Region:
         """
         self.failure = None
         s, points = self.part.stencils[0], self._points
-        # a rank without points needs the fields too
-        chunks = self._chunks or [(0, 0)]
+        chunks = self._chunks or [(0, 0)]  # a rank without points needs the fields too
         for k, operator in enumerate(self.terms.operators):
             law: Any = operator.law
             whole = operator.tags is None and s.order.size == len(points)
