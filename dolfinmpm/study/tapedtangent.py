@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 # Runs from which the tangent at the solution is assembled for them: with incomplete factors, by
 # dimension, because complete ones are cheaper then, and with all other preconditioners
-_MANY_INCOMPLETE, _MANY = {1: 1, 2: 1, 3: 3}, 8
+_MANY_INCOMPLETE, _MANY = {1: 1, 2: 2, 3: 3}, 8
 # Out-of-balance force that may remain, as a share of what the perturbation makes: in general, and
 # in columns of additional equations. And its rounding, as a share of the loads
 DIGITS, ACCURATE, ROUNDING = 1e-7, 1e-10, 1e-15
