@@ -22,11 +22,10 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.argumentchecks import check_function, shown
+from dolfinmpm._platform.argumentchecks import check_function, check_kind, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
-    FieldShapeError,
     ParameterError,
     UnsupportedGridError,
     call_together,
@@ -34,10 +33,12 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm._platform.uncopied import Settled
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.facesofboundary import faces_of
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import PRESSURE, signed_form
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.surfacechecks import axis_of, check_exposed, error_on_axis, numbers_of
+from dolfinmpm.body.surfacechecks import axis_of, check_exposed, error_on_axis, offsets_and_areas
 from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
@@ -166,29 +167,27 @@ class Surface(Settled):
             EmptyShapeError: All areas are zero.
         """
         check_points(points)
-        R, A = call_together(
-            points.comm, lambda: (numbers_of("offset", offset), numbers_of("area", area))
-        )
-        error: Exception | None = None
-        for what, values in (("offset", R), ("area", A)):
-            if values.shape != (len(points), points.gdim):
-                error = FieldShapeError(
-                    f"{what} should have shape {(len(points), points.gdim)} (this rank's points "
-                    f"first), got {values.shape}"
-                )
-            elif not np.isfinite(values).all():
-                p = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-                error = ParameterError(
-                    f"{what} = {values[p]} of the point at {points['x'][p]} m must be finite"
-                )
-        raise_together(points.comm, error)
-        if points.axisymmetric:
-            raise_together(points.comm, error_on_axis(points, points["x0"] + R, np.any(A, axis=1)))
+        R, A = offsets_and_areas(points, offset, area)
         if not points.comm.allreduce(bool(np.any(A)), op=MPI.LOR):
             raise EmptyShapeError("all areas of the surface are zero; give some point an area")
         surface = cls.__new__(cls)
         surface._set(points, R, A, name, None)
         return surface
+
+    @classmethod
+    @collective
+    def from_boundary(cls, boundary: Boundary, *, name: str | None = None) -> Surface:
+        """A surface along a boundary that follows its body, of any shape. Collective.
+
+        Args:
+            boundary: The boundary, see `faces_of`. Its markers do not act.
+            name: Name of the fields.
+
+        Raises:
+            ParameterError: The boundary is a wall, or the body has moved.
+        """
+        check_kind("boundary", boundary, Boundary, "make it with mpm.Boundary.from_polygon")
+        return cls.from_arrays(boundary.points, *faces_of(boundary), name=name)
 
     def _set(self, points: MaterialPoints, R: Array, A: Array, name, normal) -> None:
         if name is None:

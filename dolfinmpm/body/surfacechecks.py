@@ -9,10 +9,15 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import coordinates, floats, shown
-from dolfinmpm._platform.errors import FieldShapeError, ParameterError
+from dolfinmpm._platform.errors import (
+    FieldShapeError,
+    ParameterError,
+    call_together,
+    raise_together,
+)
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["axis_of", "check_exposed", "error_on_axis", "numbers_of"]
+__all__ = ["axis_of", "check_exposed", "error_on_axis", "numbers_of", "offsets_and_areas"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +44,34 @@ def axis_of(normal: Any, gdim: int) -> Array:
             f"{(0,) * (gdim - 1) + (1,)}; give other faces by Surface.from_arrays"
         )
     return n
+
+
+def offsets_and_areas(points: MaterialPoints, offset: Any, area: Any) -> tuple[Array, Array]:
+    """The arguments of `Surface.from_arrays` as arrays. Collective.
+
+    Raises:
+        FieldShapeError: An array has another shape.
+        ParameterError: A value is not finite, or a face lies on the axis.
+    """
+    R, A = call_together(
+        points.comm, lambda: (numbers_of("offset", offset), numbers_of("area", area))
+    )
+    error: Exception | None = None
+    for what, values in (("offset", R), ("area", A)):
+        if values.shape != (len(points), points.gdim):
+            error = FieldShapeError(
+                f"{what} should have shape {(len(points), points.gdim)} (this rank's points "
+                f"first), got {values.shape}"
+            )
+        elif not np.isfinite(values).all():
+            p = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+            error = ParameterError(
+                f"{what} = {values[p]} of the point at {points['x'][p]} m must be finite"
+            )
+    raise_together(points.comm, error)
+    if points.axisymmetric:
+        raise_together(points.comm, error_on_axis(points, points["x0"] + R, np.any(A, axis=1)))
+    return R, A
 
 
 def numbers_of(what: str, values: Any) -> Array:

@@ -23,6 +23,7 @@ from dolfinmpm._platform.argumentchecks import (
 )
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
 from dolfinmpm.assembly.term import Term, as_form
+from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
@@ -256,7 +257,7 @@ def contact(
     stiffness_per_area: float | None = None,
     slip_stiffness: float = 0.5,
     penetration: float | None = None,
-    surface: Surface | None = None,
+    surface: Surface | Boundary | None = None,
     corners: str | None = None,
     pore_pressure: Any = None,
     tag: int | tuple[int, ...] | None = None,
@@ -294,7 +295,9 @@ def contact(
         stiffness_per_area: κ itself (Pa/m), instead of `penalty`.
         slip_stiffness: Tangential stiffness during stick, as a share of κ.
         penetration: Largest penetration (m), or None for the penalty alone.
-        surface: Marked faces that touch, instead of all corners.
+        surface: Faces that touch, instead of all corners: a `Surface`, or a `Boundary` that follows
+            the body, for faces that are oblique or curved. The body then touches with its own
+            faces, and not with the stairs of the domains of its points.
         corners: "domains" for corners of the points' domains, "material" for corners that turn
             and shear with the points' material, see `dolfinmpm.contact.corners`. The default is
             "material" for marked faces, and else "domains", for flowing soil.
@@ -333,9 +336,7 @@ def contact(
         friction, penalty, stiffness_per_area, slip_stiffness, penetration, shear_limit
     )
     if surface is not None:
-        check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
-        if surface.points is not points:
-            raise ParameterError(f"the surface '{surface.name}' is of other points")
+        surface = _surface_of(surface, points)
     if corners is None:
         corners = "domains" if surface is None else "material"
     corners = choice("corners", corners, ("domains", "material"))
@@ -353,3 +354,18 @@ def contact(
         refuse_idle("pore_pressure", pore_pressure, None, "it lessens friction: give friction=")
     term = RigidContact(body, points, u, surface, corners == "material", tags, law, wet)
     return as_form(term, u, v)
+
+
+def _surface_of(given: Any, points: MaterialPoints) -> Surface:
+    """The argument `surface` of `contact`; the same boundary has the same surface. Collective."""
+    if not isinstance(given, Boundary):
+        advice = "make it with mpm.Surface(points, where, normal), or give a Boundary"
+        check_kind("surface", given, Surface, advice)
+    if given.points is not points:
+        raise ParameterError(f"the surface '{given.name}' is of other points")
+    if isinstance(given, Surface):
+        return given
+    known = points.__dict__.setdefault("_surfaces_of_boundaries", {})
+    if given not in known:
+        known[given] = Surface.from_boundary(given)
+    return known[given]

@@ -1,0 +1,170 @@
+"""Faces of material points at the markers of a boundary: offsets and areas for a `Surface`.
+
+Each marker belongs to the nearest material point. A point's face is at the mean of its markers, and
+has the sum of their areas. At an edge of the body, a point keeps the face with most of its markers.
+The others go to the nearest point whose face has about their normal. So faces lie on the sides of
+the body, and the sum of their areas is that of the boundary.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.markerstate import keys_of, nearest
+from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["faces_of"]
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
+
+# Least cosine of the angle between the normals of a face and of its markers
+_ALIKE = 0.7
+# Points among which a marker at an edge looks for a face
+_BESIDE = 16
+
+
+class _Markers(NamedTuple):
+    """Markers of all ranks, in one order.
+
+    Attributes:
+        x: Positions (m), shape (n, gdim).
+        area: Area vectors (m^(d-1)), shape (n, gdim).
+        normal: Unit normals, shape (n, gdim).
+    """
+
+    x: Array
+    area: Array
+    normal: Array
+
+
+def faces_of(boundary: Boundary) -> tuple[Array, Array]:
+    """Offsets from this rank's points to their faces, and area vectors of the faces. Collective.
+
+    Args:
+        boundary: A boundary that follows its body, which has not moved so far.
+
+    Returns:
+        Offsets (m) and areas (m^(d-1); m² around the axis of axisymmetric bodies), shape (points,
+        gdim); zeros at points without a face.
+
+    Raises:
+        ParameterError: The boundary is a wall, or the body has moved.
+    """
+    points, error = boundary.points, None
+    if not boundary.follows:
+        error = ParameterError(
+            f"'{boundary.name}' is a wall, and no surface of the body: make it with follows=True"
+        )
+    elif points.comm.allreduce(not np.array_equal(points["x"], points["x0"]), op=MPI.LOR):
+        error = ParameterError(
+            f"the body has moved, and a surface of '{boundary.name}' needs its first positions: "
+            "make it before the first step"
+        )
+    raise_together(points.comm, error)
+    here = boundary.present()
+    sent = (points.comm.allgather(boundary.markers[name][here]) for name in ("x", "area"))
+    x, area = (np.concatenate(parts) for parts in sent)
+    markers = _Markers(x, area, area / np.linalg.norm(area, axis=1)[:, None])
+    at, rows = _owned(points, *nearest(points["x"], keys_of(points["x0"]), markers.x))
+    main = _main_normals(markers, at, rows, len(points))
+    strange = np.zeros(len(x), bool)
+    strange[at] = np.sum(markers.normal[at] * main[rows], axis=1) < _ALIKE
+    points.comm.Allreduce(MPI.IN_PLACE, strange, op=MPI.LOR)
+    others = np.flatnonzero(strange)
+    again, theirs = _owned(points, *_with_like_normal(points, markers, main, others))
+    # where no face has such a normal, a marker stays
+    moved = np.zeros(len(x), bool)
+    moved[others[again]] = True
+    points.comm.Allreduce(MPI.IN_PLACE, moved, op=MPI.LOR)
+    stays = ~moved[at]
+    at, rows = np.append(at[stays], others[again]), np.append(rows[stays], theirs)
+    return _sums(points, markers, at, rows)
+
+
+def _owned(points: MaterialPoints, distance: Array, key: Array, rows: Rows) -> tuple[Rows, Rows]:
+    """Markers whose nearest point is on this rank, and these points. Collective.
+
+    Args:
+        points: Material points.
+        distance, key, rows: Nearest point of this rank to each marker, see `nearest`.
+    """
+    comm, least = points.comm, np.empty_like(distance)
+    comm.Allreduce(distance, least, op=MPI.MIN)
+    # points that are equally near on two ranks
+    key = np.where(distance <= least * (1 + 1e-7), key, np.inf)
+    first = np.empty_like(key)
+    comm.Allreduce(key, first, op=MPI.MIN)
+    mine = np.flatnonzero((key == first) & np.isfinite(distance))
+    return mine, rows[mine]
+
+
+def _main_normals(markers: _Markers, at: Rows, rows: Rows, count: int) -> Array:
+    """Normal of the face with most of a point's area, shape (count, gdim); zero without markers.
+
+    Args:
+        markers: The markers.
+        at, rows: Markers of this rank's points, and these points.
+        count: Number of points.
+    """
+    main = np.zeros((count, markers.x.shape[1]))
+    order = np.argsort(rows, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(rows[order])) + 1) if rows.size else ():
+        n, a = markers.normal[at[group]], markers.area[at[group]]
+        alike = n @ n.T >= _ALIKE
+        face = alike[np.argmax(alike @ np.linalg.norm(a, axis=1))]
+        whole = a[face].sum(axis=0)
+        main[rows[group[0]]] = whole / np.linalg.norm(whole)
+    return main
+
+
+def _with_like_normal(
+    points: MaterialPoints, markers: _Markers, main: Array, others: Rows
+) -> tuple[Array, Array, Rows]:
+    """Nearest points of this rank whose faces have about the normals of markers; see `nearest`.
+
+    Args:
+        points: Material points.
+        markers: The markers.
+        main: Normals of the points' faces, shape (points, gdim).
+        others: Numbers of the markers, shape (n,).
+    """
+    from scipy.spatial import cKDTree
+
+    faces = np.flatnonzero(main.any(axis=1))
+    distance, key = np.full((2, others.size), np.inf)
+    if not (faces.size and others.size):
+        return distance, key, np.zeros(others.size, np.intp)
+    count = min(_BESIDE, faces.size)
+    far, found = cKDTree(points["x"][faces]).query(markers.x[others], count)
+    far, found = far.reshape(others.size, count), faces[found.reshape(others.size, count)]
+    along = np.einsum("nki,ni->nk", main[found], markers.normal[others])
+    far = np.where(along >= _ALIKE, far, np.inf)
+    best, every = np.argmin(far, axis=1), np.arange(others.size)
+    rows = found[every, best]
+    return far[every, best], keys_of(points["x0"])[rows], rows
+
+
+def _sums(points: MaterialPoints, markers: _Markers, at: Rows, rows: Rows) -> tuple[Array, Array]:
+    """See `faces_of`.
+
+    Args:
+        points: Material points.
+        markers: The markers.
+        at, rows: Markers of this rank's points, and these points.
+    """
+    size = np.linalg.norm(markers.area[at], axis=1)
+    whole = np.bincount(rows, size, len(points))
+    on = whole > 0.0
+    offset, area = np.zeros((2, len(points), points.gdim))
+    for k in range(points.gdim):
+        area[:, k] = np.bincount(rows, markers.area[at, k], len(points))
+        middle = np.bincount(rows, size * markers.x[at, k], len(points))
+        offset[on, k] = middle[on] / whole[on] - points["x"][on, k]
+    return offset, area
