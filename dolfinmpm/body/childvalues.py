@@ -154,15 +154,15 @@ def _of_corners(values: Array, place: npt.NDArray[np.int64], unit: str) -> Array
 
 
 def _face(points: MaterialPoints, surface: str, born: Children, new: dict[str, Any]) -> None:
-    """Divide a face of the parents among the children at it; force and moment stay."""
+    """Divide a face of the parents among the children at it; its plane, force and moment stay."""
     offset, area = f"{surface}_offset", f"{surface}_area"
     d, R, A = points.gdim, new[offset], new[area]
-    ratio = R / (2.0 * np.abs(born.reach))
-    axis = np.argmax(np.abs(ratio), axis=1)
-    rows = np.arange(len(R))
-    towards = ratio[rows, axis]
+    rows, axis = np.arange(len(R)), np.argmax(np.abs(A), axis=1)
+    towards, across = R[rows, axis], A[rows, axis]
     along = np.zeros_like(R)
-    along[rows, axis] = born.reach[rows, axis]
+    # an oblique face goes on in its plane
+    rise = np.sum(A * born.reach, axis=1)
+    along[rows, axis] = np.divide(rise, across, out=np.zeros_like(rise), where=across != 0.0)
     # a face at the centre is shared by all children
     there = (towards == 0.0) | (towards * side_signs(d)[born.place][rows, axis] > 0.0)
     along[towards == 0.0] = 0.0
