@@ -78,6 +78,19 @@ def test_exact_volume_and_centre_of_mass(kind, shape):
     np.testing.assert_allclose(np.prod(2 * points["l"], axis=1), V, rtol=1e-10)
 
 
+@pytest.mark.parametrize("n", [2, 4])
+def test_an_edge_along_diagonals_leaves_whole_parts_alone(n):
+    """Cut pieces on one line get their moment across it by a shift, and no other piece changes."""
+    lines = [np.arange(20 * n + 1) / n, np.arange(10 * n + 1) / n]
+    grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
+    slope = mpm.Polygon([(0, 0), (20, 0), (20, 1), (17, 1), (10, 8), (0, 8)])
+    points = mpm.fill(grid, slope, per_cell=2, density=1.0, exact=True)
+    crest = mpm.Surface(points, lambda x: np.isclose(x[1], 8.0) & (x[0] < 10), normal=(0, 1))
+    np.testing.assert_allclose(crest.total_area, 10.0, rtol=1e-12)
+    middle = points["V"] @ points["x"] / points["V"].sum()
+    np.testing.assert_allclose(middle, slope.centroid, rtol=1e-12)
+
+
 def test_what_exact_volumes_mend():
     """A ball of radius 0.7 on cells of 0.25: 2.1 % too light, its moment of inertia by as much."""
     grid, ball = box_grid("hexahedron"), mpm.Ball((0, 0, 0), 0.7)
