@@ -21,7 +21,7 @@ from dolfinmpm._platform.errors import ParameterError, SectionAtEndWarning, warn
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.grid.lattice import largest_cell, lattice_of
 
 __all__ = ["SectionForces", "section_forces"]
 
@@ -87,11 +87,12 @@ def section_forces(
         place: A place in the section (m), shape (gdim,).
         normal: Normal of the section, of any length, shape (gdim,).
         tag: Tags of the points that count, such as those of the wall; None for all points.
-        width: Distance from the section at which stresses count no more (m): by default the size
-            of the largest cell of the grid. Give the size of the leaves in a refined space. Less
-            than a cell takes what swings from cell to cell for the mean: half a cell missed the
-            weight above a section by up to 9 % with GIMP. It is at least the length of the points'
-            domains.
+        width: Distance from the section at which stresses count no more (m): by default the
+            length along the normal of the largest cell that the section cuts, and of the largest
+            cell of a grid that is not rectangular. Give the size of the leaves in a refined space.
+            Less than a cell takes what swings from cell to cell for the mean: half a cell missed
+            the weight above a section by up to 9 % with GIMP. It is at least the length of the
+            points' domains.
 
     Returns:
         Force, moment, centre and area. For axisymmetric bodies they are those of the whole
@@ -125,13 +126,16 @@ def section_forces(
     if not size > 0:
         raise ParameterError(f"normal = {shown(normal)} must not be zero")
     n = np.asarray(n / size, np.float64)
-    w = largest_cell(points.grid) if width is None else number("width", width, 0.0, unit="m")
     tags = as_tags(tag)
     x, read = points["x"], points.fields.read
     # half-lengths of the domains across the section
     half = read("l") @ np.abs(n)
     counts = np.ones(len(x), bool) if tags is None else np.isin(read("tag"), tags)
     along = (x - x0) @ n
+    if width is None:
+        w = _cell_along(points, x[counts & (np.abs(along) <= half)], n)
+    else:
+        w = number("width", width, 0.0, unit="m")
     V = read("V") * _mean_weight(along, half, w) * counts
     reach = (along + half)[counts], (half - along)[counts], half[V > 0]
     ends = (float(np.max(d, initial=-np.inf)) for d in reach)
@@ -156,6 +160,20 @@ def section_forces(
     moment = np.cross(np.pad(arms, more), np.pad(t, more))
     total = points.comm.allreduce(V @ moment, op=MPI.SUM)
     return SectionForces(sums[1 + d :], total if d == 3 else total[2:], centre, area)
+
+
+def _cell_along(points: MaterialPoints, x: Array, n: Array) -> float:
+    """Greatest length along a normal of the cells at some positions (m). Collective.
+
+    The largest cell of the whole grid would smear moments where the cells are fine.
+    """
+    grid, lattice = points.grid, lattice_of(points.grid)
+    square = np.zeros(len(x))
+    for i, line in enumerate(() if lattice is None else lattice.lines):
+        cell = np.clip(np.searchsorted(line, x[:, i]) - 1, 0, len(line) - 2)
+        square += (n[i] * np.diff(line)[cell]) ** 2
+    found = grid.comm.allreduce(float(square.max(initial=0.0)), op=MPI.MAX)
+    return found**0.5 if found > 0 else largest_cell(grid)
 
 
 def _mean_weight(distance: Array, half: Array, w: float) -> Array:

@@ -84,6 +84,21 @@ def test_an_oblique_section_of_a_uniform_stress():
     assert found.moment[0] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_section_in_fine_cells_of_a_graded_grid():
+    """The slab is as wide as the cells at the section: the grid's largest one had smeared it."""
+    lines = np.concatenate([np.arange(0, 4, 0.25), np.arange(4, 13, 2.0)])
+    grid = mpm.create_lattice(COMM, [lines, np.arange(6) * 0.25])
+    points = mpm.fill(grid, mpm.Box((0, 0), (12, 1)), 2, 1000.0)
+    x, y = points["x"].T
+    points["stress"][:, 0, 0] = (y - 0.5) * (x - 2.0) ** 2
+    # s² has the mean w²/6 over the hat of the slab
+    of_points = (1 - 0.125**2) / 12
+    for at, w in ((2.0, 0.25), (8.5, 2.0)):
+        found = mpm.section_forces(points, (at, 0.5), (1, 0))
+        mean = (at - 2) ** 2 + w**2 / 6
+        assert abs(found.moment[0]) == pytest.approx(mean * of_points, rel=0.15)
+
+
 def test_points_of_a_tag_count():
     grid = mpm.create_lattice(COMM, [range(7), range(7)])
     points = mpm.fill(grid, mpm.Box((0, 0), (2, 5)), 2, 1000.0, tag=3)
