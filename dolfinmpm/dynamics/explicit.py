@@ -88,7 +88,7 @@ class Explicit(MovingBody, Problem):
             last step. "usl" loses energy at any length of the steps.
         mapping: The velocity mapping between points and grid; "flip" by default.
         mass: "lumped", or "consistent" with conjugate gradients in each step.
-        ghost_mass: See `Newmark`.
+        ghost_mass: See `Newmark`; by default as with a `prolongation` there, with aggregation 0.
         courant: Length of a step as a share of the critical step, at most 1. With math.inf,
             `step` takes one step to the given time without this bound.
         damping: Factor α of local damping, −α |f| sign v (Cundall 1987).

@@ -307,14 +307,20 @@ class ExplicitCall:
         problem = self._problem
         fastest, energies = fastest_point(problem.points), problem.energies()
         at, longest = problem.time, problem.critical_step()
+        if problem.terms.warned:
+            # nodes that almost no point moves: shorter steps do not help
+            advice = "The consistent mass is next to singular: do what the SingularMassWarning says"
+        else:
+            advice = (
+                "Against instability take a smaller courant number, a mapping that damps, or "
+                "aggregation where cuts are small"
+            )
         self._go_back()
         return InstabilityError(
             f"explicit step at t = {at:.6g} s: {reason}. The step is {dt:.3g} s, the "
             f"critical one {longest:.3g} s; the fastest point is {fastest}; energies (J): kinetic "
             f"{energies.kinetic:.4g}, strain {energies.strain:.4g}, external work "
-            f"{energies.external:.4g}. The state is that at t = {problem.time:.6g} s. Against "
-            "instability take a smaller courant number, a mapping that damps, or aggregation where "
-            "cuts are small"
+            f"{energies.external:.4g}. The state is that at t = {problem.time:.6g} s. {advice}"
         )
 
     def _go_back(self) -> None:

@@ -169,8 +169,8 @@ class Newmark(TimeStepping):
             A penalty of the mass takes energy in every step, and more with smaller steps. It acts
             from the next step on, with a `SingularMassWarning`, if the mass is found singular.
             With a `prolongation`, with contact and with weak aggregation the default is 1/4; on
-            quadratic and cubic splines it is 100 and 10⁴ times 1/4. With 0, nodes with small
-            shares of points make the mass singular.
+            quadratic and cubic splines it is 100 and 10⁴ times 1/4; with `tied` sides it is 0.
+            With 0, nodes with small shares of points make the mass singular.
         error: Largest error of a step's displacement, as a share of the largest displacement of a
             step so far. A step with a larger error is halved. None for no bound.
         time: DOLFINx constant that holds the time (s), for forms that depend on the time.

@@ -9,7 +9,12 @@ from conftest import COMM
 from dolfinx import mesh
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
+from dolfinmpm._platform.errors import (
+    InstabilityError,
+    ParameterError,
+    SingularMassWarning,
+    UnsupportedGridError,
+)
 
 
 def layer(basis="bspline2", period=1, height=8, free=3, kind=mpm.Newmark, bcs="bottom", **options):
@@ -51,6 +56,24 @@ def test_a_layer_swings_in_shear(kind, height, options):
     assert error < 0.02
     # it stays level
     assert np.abs(points["x"][:, 1] - points["x0"][:, 1]).max() < 1e-9
+
+
+def test_a_singular_mass_under_a_free_surface_says_what_helps():
+    """The grid goes on above the surface. Advice to take shorter steps had no effect."""
+    lines = [np.arange(6.0), np.arange(11.0)]
+    grid = mpm.create_lattice(COMM, lines)
+    points = mpm.fill(grid, mpm.Box((2, 0), (3, 8)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=2.0, nu=0.0), points, V.increment, V.test)
+    held, sides = mpm.fixed(V, "bottom"), mpm.tied(V, period=1.0)
+    options = {"mass": "consistent", "prolongation": sides}
+    problem = mpm.Explicit(F, V.increment, points, held, **options)
+    points["velocity"] = mode(points) @ np.ones((2, 2))
+    with (
+        pytest.warns(SingularMassWarning, match="ghost_mass above 0"),
+        pytest.raises(InstabilityError, match="do what the SingularMassWarning says"),
+    ):
+        problem.step(1.0)
 
 
 def test_a_longer_period_gives_the_same_motion():

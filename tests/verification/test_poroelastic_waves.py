@@ -54,6 +54,35 @@ def test_an_undrained_bar_has_the_period_of_both_phases():
     assert np.median(ratio) == pytest.approx(-4e5 / POROSITY / M, rel=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("coarsen", "projection", "storage"), [(1, "auto", 2.26), (2, "none", 1.0)]
+)
+def test_stiff_water_and_the_projection_of_the_pressure(coarsen, projection, storage):
+    """With N cells per wavelength the projection stores π² K_w/(N² n M) times what K_w does."""
+    stiffness, cells = 204.0 * M, 10  # K_w/n, as of water in soft soil; N = 40
+    h, waves = LENGTH / cells, 0.5 * math.pi / LENGTH
+    assert 1 + (math.pi / 40) ** 2 * 204.0 == pytest.approx(2.26, abs=0.01)
+    lines = [np.arange(3) * h, np.arange(cells + 1) * h]
+    grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
+    points = mpm.fill(grid, mpm.Box((0, 0), (2 * h, LENGTH)), 2, DENSITY)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=(), coarsen=coarsen)
+    fields, water = (V.increment, Q.increment), mpm.Fluid(bulk_modulus=POROSITY * stiffness)
+    options = {"permeability": 0.0, "fluid": water, "projection": projection}
+    soil, tests = mpm.materials.Hencky(E=M, nu=0.0), (V.test, Q.test)
+    F = mpm.poromechanics(soil, points, fields, tests, porosity=POROSITY, **options)
+    bcs = mpm.rollers(V, "left", "right", "bottom") + mpm.fixed(Q, "top")
+    problem = mpm.Newmark(F, fields, points, bcs)
+    points["velocity"][:, 1] = 1e-6 * np.sin(waves * points["x"][:, 1])
+    t, p = [0.0], [problem.momentum()[1]]
+    quarter = LENGTH / math.sqrt((M + stiffness / storage) / DENSITY)
+    while p[-1] > 0.0:
+        problem.step(problem.time + quarter / 50)
+        t.append(problem.time)
+        p.append(problem.momentum()[1])
+    first = t[-2] + p[-2] * (t[-1] - t[-2]) / (p[-2] - p[-1])
+    assert first == pytest.approx(quarter, rel=0.02)
+
+
 def settlement(times, damping, density=DENSITY):
     """−M u(L)/(qL) of ρ ü + ρ d u̇ = M u'' under a load q put on at once, by its series."""
     k = (2 * np.arange(400) + 1) * math.pi / 2 / LENGTH
