@@ -137,6 +137,7 @@ CASES = {
         boundaries.regraded_splines,
         contact.contact_quasistatic,
         contact.contact_restart,
+        contact.contact_along_a_boundary,
         contact.free_body_at_an_edge,
         contact.contact_in_time,
         contact.contact_in_fused_steps,

@@ -91,6 +91,34 @@ def contact_of_revolution():
     return {"going_on": found, **figures(problem)}
 
 
+def _turned(**options):
+    """A turned block between two plates, which touches with its own faces."""
+    grid = mesh.create_rectangle(COMM, [(-1, -1), (1, 1)], (10, 10), mesh.CellType.quadrilateral)
+    turn = np.radians(25.0)
+    Q = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    corners = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ Q.T
+    points = mpm.fill(grid, mpm.Polygon(corners), 2, 1000.0, exact=True)
+    V, up = mpm.Space(grid, "gimp"), Q[:, 1]
+    F = mpm.momentum(mpm.materials.VonMises(1e6, 0.3, radius=2e4), points, V.increment, V.test)
+    edge = mpm.Boundary.from_polygon(points, corners)
+    for name, side in (("top", 1.0), ("bottom", -1.0)):
+        plane, motion = mpm.Plane(0.5 * side * up, -side * up), tuple(-0.005 * side * up)
+        plate = mpm.RigidBody(plane, increment=motion, name=name)
+        F += mpm.contact(plate, points, V.increment, V.test, friction=0.3, surface=edge)
+    problem = mpm.QuasiStatic(F, V.increment, points, [], stabilisation="ghost", **options)
+    return problem, problem.step
+
+
+def contact_along_a_boundary():
+    """Faces of a body's boundary, whose points are on several ranks, and a restart."""
+    options = {"petsc_options": REPEATABLE, "tolerance": 1e-11}
+    found = goes_on(lambda: _turned(**options), 4, moves=False)
+    problem, step = _turned(tolerance=1e-12)
+    for _ in range(3):
+        step()
+    return {"going_on": found, **figures(problem)}
+
+
 def free_body_at_an_edge():
     """A footing under a load, whose edge leaves a corner of the points: secants over both."""
     grid = mpm.create_lattice(COMM, [np.arange(-4, 4.1, 0.25), np.arange(-2, 0.6, 0.25)])
