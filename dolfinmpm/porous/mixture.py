@@ -151,7 +151,8 @@ def poromechanics(
             (m/s, for UFL; negative for water that leaves).
         ponded: Pairs of a surface and the level of still water above it (m, along the last axis,
             for UFL). The weight of the water acts as a pressure that follows the surface. The pore
-            pressure at the surface is the same pressure, and 0 above the level.
+            pressure at the surface is the same pressure. Above the level, water leaves but does
+            not enter, as at `seepage`.
         strain, fbar, tag: See `momentum`. Layers of several soils have one call per tag, with the
             same fields. A surface belongs to the call of its points.
 
@@ -296,7 +297,10 @@ def _surface_terms(
         leaves(surface, prescribed_inflow(through, surface, rate))
     for surface, level in held["ponded"]:
         depth = ufl.max_value(level - surface.position(through.u)[points.gdim - 1], 0.0)
-        leaves(surface, prescribed_pressure(through, surface, weight * depth))
+        wet = prescribed_pressure(through, surface, weight * depth)
+        # a face above the water has no water to give: there the condition is that of seepage
+        dry = seepage_face(through, surface, own_constant(points.grid, 0.0))
+        leaves(surface, ufl.conditional(ufl.gt(depth, 0.0), wet, dry))
         forms.append(surface.pressure(weight * depth, through.u, v))
     return forms, [outflow(points, surface, volume) for surface, volume in leaving.items()]
 

@@ -145,7 +145,7 @@ def refuse_two_pressures(held: dict[str, list[tuple[Surface, Any]]]) -> None:
                 raise ParameterError(
                     f"the surface '{surface.name}' is in {first[surface]}= and in {what}= of "
                     "mpm.poromechanics, and a surface has one condition on the pressure: leave one "
-                    "out. ponded= has the pressure 0 above its level already; for two parts of a "
+                    "out. ponded= lets water leave above its level already; for two parts of a "
                     "face make two surfaces"
                 )
             first[surface] = what

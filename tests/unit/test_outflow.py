@@ -91,3 +91,22 @@ def test_a_surface_with_two_conditions_has_their_sum():
     # what enters leaves at the same place, but for what the ground takes in a second
     assert top.outflow() == pytest.approx(0.0, abs=0.02 * 3e-9)
     assert COMM.allreduce(abs(points["pressure"]).max(initial=0.0), MPI.MAX) < 0.1
+
+
+def test_a_face_above_the_level_takes_no_water():
+    """Ground that drains at its base, beside an empty basin: suction holds its water."""
+    grid = mpm.create_lattice(COMM, [np.arange(4), np.arange(5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (2, 4)), 2, 1900.0)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    side = mpm.Surface(points, lambda x: x[0] > 1.99, (1, 0))
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(5e7, 0.3), points, (V.increment, Q.increment), (V.test, Q.test),
+        permeability=1e-6, porosity=0.4, ponded=[(side, -1.0)], gravity=(0.0, -9.81),
+    )  # fmt: skip
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left") + mpm.fixed(Q, "bottom")
+    problem = mpm.Transient(F, [V.increment, Q.increment], points, bcs)
+    for t in (1e9, 2e9):
+        problem.step(t)
+    # with a pressure of 0 there, 1.9e-6 m²/s had entered
+    assert abs(side.outflow()) < 1e-12
+    np.testing.assert_allclose(points["pressure"], -9810 * points["x"][:, 1], atol=100)
