@@ -97,6 +97,11 @@ class ReadOnce:
             )
         if name not in self.__dict__:
             self._refuse_new(name)
+        elif not first and name not in self._live and set_by_user(type(self), name):
+            hint = self._hints.get(name, self._instead(name))
+            raise ParameterError(
+                f"{self._called()} sets {name} itself, and a script cannot: {hint}"
+            )
         super().__setattr__(name, value)
 
     def __getattr__(self, name: str) -> Any:

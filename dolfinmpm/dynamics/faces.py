@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,7 @@ class Face:
         where: Name of the side in messages.
         incoming: Velocities by time of waves that come in (m/s), one per direction, or None.
         column: Ground beside the side, or None.
+        density: Density of the ground beyond an absorbing side (kg/m^d), or None.
     """
 
     space: Space
@@ -61,6 +62,7 @@ class Face:
     where: str
     incoming: tuple[Any, ...] | None = None
     column: GroundColumn | None = None
+    density: float | None = None
 
     @property
     def kind(self) -> str:
@@ -179,7 +181,8 @@ def absorbing(
     d = space.grid.geometry.dim
     axes = [side_of(side, d)[1] for side in sides]
     waves = _checked_incoming(incoming, (rho * p, rho * s), axes, d)
-    return [face_at(space, side, None, (rho * p, rho * s), waves) for side in sides]
+    found = [face_at(space, side, None, (rho * p, rho * s), waves) for side in sides]
+    return [replace(face, density=rho) for face in found]
 
 
 def _checked_incoming(

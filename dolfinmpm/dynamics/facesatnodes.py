@@ -25,7 +25,7 @@ from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.cut.tiedsides import TiedSides
 from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks
-from dolfinmpm.dynamics.sideareas import CoveredSide, areas, at_independent, radii
+from dolfinmpm.dynamics.sideareas import CoveredSide, areas, at_independent, radii, refuse_light
 from dolfinmpm.grid.userfunctions import VelocityByTime
 from dolfinmpm.solve.step import Step
 
@@ -73,7 +73,8 @@ class Sides:
 
     Raises:
         ParameterError: A condition constrains all nodes of a face in a direction of its damping.
-            Or two faces are at one side. Or a column of ground has other heights than the body.
+            Or two faces are at one side. Or a column of ground has other heights than the body. Or
+            the ground beyond an absorbing side is far lighter than the body.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class Sides:
                     "act: leave one out"
                 )
             _refuse_idle(face, conditions)
+        refuse_light(faces, points)
         self._faces, self._points = list(faces), points
         self._tied = prolongation if isinstance(prolongation, TiedSides) else None
         self._box: Array = np.zeros((2, points.gdim))

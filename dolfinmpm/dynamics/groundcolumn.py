@@ -35,6 +35,8 @@ _SAME = 1e-6
 _LEAST = 1e-3
 # Singular values below this share are of functions that rows of points hardly see
 _KNOWN = 0.05
+# Points of a row move otherwise than their mean by at most this share of the largest motion
+_ALIKE = 1e-3
 
 
 class GroundColumn:
@@ -94,12 +96,30 @@ class GroundColumn:
             problem.step(t)
             found.append(self._rows(points))
             moments.append(float(problem.time))
+        self._check_alike(points)
         self.time, values = np.array(moments), np.array(found)
         d = self.gdim
         self.height = values[0, :, d - 1].copy()
         # displacements, velocities, stresses
         values[:, :, :d] -= values[0, :, :d].copy()
         self._values = values
+
+    def _check_alike(self, points: Any) -> None:
+        """Raise ParameterError if points of a row have moved otherwise: level ground moves by rows.
+
+        A column whose sides are free bends, and swings slower than the ground does. Collective.
+        """
+        way = points["x"] - points["x0"]
+        off = np.abs(way - self._means(points, way)[self._row_of(points)])
+        largest = np.array([a.max(initial=0.0) for a in (off, np.abs(way))])
+        points.comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+        if largest[0] > _ALIKE * largest[1]:
+            raise ParameterError(
+                f"points of one height of the column have moved by up to {largest[0]:.3g} m "
+                f"otherwise than their mean, and the largest motion is {largest[1]:.3g} m: level "
+                "ground moves as one at each height. Give the problem of the column tied sides, "
+                "prolongation=mpm.tied(V, period), or hold its sides"
+            )
 
     def _find_rows(self, problem: Any) -> None:
         """Find the rows, their shares of the height and their impedances. Collective."""

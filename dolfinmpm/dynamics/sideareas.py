@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
 from dolfinmpm.body.points import MaterialPoints
@@ -25,12 +26,31 @@ from dolfinmpm.dynamics.groundcolumn import integrals_within
 if TYPE_CHECKING:
     from scipy import sparse
 
-__all__ = ["CoveredSide", "areas", "at_independent", "radii"]
+__all__ = ["CoveredSide", "areas", "at_independent", "radii", "refuse_light"]
 
 Array = npt.NDArray[np.float64]
 # Domains that turn and shear leave small gaps, and those of a mesh do not tile it. A cell with the
 # share _FULL is full, and so is a cell between others with at least the share _SOME.
 _FULL, _SOME = 0.95, 1e-6
+# Density beyond a side over that of the body: a unit weight in kN/m³ is a hundredth of a density
+_LIGHT = 0.05
+
+
+def refuse_light(faces: Sequence[Any], points: MaterialPoints) -> None:
+    """Raise ParameterError if ground beyond a side is far lighter than the body. Collective."""
+    given = [face for face in faces if face.density is not None]
+    if not given:
+        return
+    sums = np.array([points["density"] @ points["V0"], points["V0"].sum()])
+    points.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
+    mean = float(sums[0] / sums[1])
+    for face in given:
+        if face.density < _LIGHT * mean:
+            raise ParameterError(
+                f"density = {face.density:g} kg/m³ of the ground beyond the absorbing side "
+                f"'{face.where}' is less than a twentieth of the {mean:.4g} kg/m³ of the body: "
+                "give a density in kg/m³, not a unit weight in kN/m³"
+            )
 
 
 @numba.njit(cache=True, error_model="numpy")

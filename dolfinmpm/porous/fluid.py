@@ -19,6 +19,8 @@ from dolfinmpm.body.points import MaterialPoints, PointField
 __all__ = ["Fluid", "kozeny_carman", "refuse_hollow", "refuse_light"]
 
 Permeability = Callable[[Any, Any], Expr]
+# Numbers of water's unit weight (kN/m³ and N/m³) that scripts give for its density
+_UNIT_WEIGHTS = (9.8, 9.807, 9.81, 9800.0, 9807.0, 9810.0)
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Fluid:
         bulk_modulus: Bulk modulus K_w (Pa), infinite for an incompressible fluid.
 
     Raises:
-        ParameterError: A number is not positive.
+        ParameterError: A number is not positive, or the density is a unit weight.
 
     >>> import dolfinmpm as mpm
     >>> mpm.Fluid().unit_weight, mpm.Fluid(bulk_modulus=2.2e9).compressible
@@ -48,6 +50,11 @@ class Fluid:
     def __post_init__(self):
         number("density", self.density, 0.0, unit="kg/m³")
         number("gravity", self.gravity, 0.0, unit="m/s²")
+        if self.density in _UNIT_WEIGHTS and 9.0 < self.gravity < 11.0:
+            raise ParameterError(
+                f"density = {self.density:g} kg/m³ is the number of water's unit weight, in kN/m³ "
+                "or N/m³: give its density, 1000.0 kg/m³; gravity= makes the unit weight of it"
+            )
         if not is_endless(self.bulk_modulus):
             number("bulk_modulus", self.bulk_modulus, 0.0, unit="Pa")
 

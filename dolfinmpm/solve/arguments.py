@@ -34,6 +34,7 @@ from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.stabilisations import KINDS, Stabilisation
 from dolfinmpm.cut.tiedsides import TiedSides
+from dolfinmpm.solve.scheme import Scheme
 
 __all__ = [
     "ELSEWHERE",
@@ -47,6 +48,7 @@ __all__ = [
     "check_spaces",
     "check_updates",
     "increments_of",
+    "scheme_of",
     "stabilisation_of",
     "stabilisations_of",
 ]
@@ -59,8 +61,19 @@ ELSEWHERE = {
     "collision": "mpm.Collision is of mpm.Explicit; rigid bodies touch by mpm.contact in the form, "
     "bodies with fields of their own by mpm.contact_between",
     "dt": "step(t) is told where a step ends, see mpm.times",
+    "solver": 'petsc_options= of the problem chooses a solver, such as {"ksp_type": "cg"}',
     "gravity": "it is a term of the form, F -= ufl.inner(points.density * g, v) * points.dX",
 }
+
+
+def scheme_of(scheme: Any) -> Any:
+    """The scheme of a problem.
+
+    Raises:
+        ParameterError: It is something else, such as a name.
+    """
+    check_kind("scheme", scheme, Scheme, "leave it out, for each kind of problem has its own")
+    return scheme
 
 
 def increments_of(increment: Any, points: MaterialPoints) -> list[fem.Function]:

@@ -50,6 +50,7 @@ from dolfinmpm.solve.arguments import (
     check_spaces,
     check_updates,
     increments_of,
+    scheme_of,
     stabilisations_of,
 )
 from dolfinmpm.solve.boundarychecks import check_boundary_conditions
@@ -118,10 +119,9 @@ class Problem(Uncopied, ReadOnce):
         prolongation: Prolongate | None = None,
         scheme: Scheme,
     ):
-        self.scheme = scheme
+        self.scheme = scheme_of(scheme)
         increments = increments_of(increment, points)
-        spaces = [u._dolfinmpm_space for u in increments]
-        check_spaces(spaces)
+        check_spaces(spaces := [u._dolfinmpm_space for u in increments])
         check_form(form)
         check_laws(form, points)
         check_hoops(form, points)

@@ -199,7 +199,13 @@ class FromState:
         here = operator.here
         operator.move(_moved_by(problem, operator))
         found = largest_norm(problem.comm, operator.points.motion(here.movers)[0])
-        if not 0.0 < found < np.inf:
+        if not np.isfinite(found):
+            raise ParameterError(
+                "a law has no stress with an endless strength, by which the displacement of the "
+                "elastic body is found: give factor_of_safety a function of the factor that builds "
+                "the body anew, with the reduced strength"
+            )
+        if not found > 0.0:
             raise ParameterError(
                 f"the loads of the problem move its elastic body by {found:g} m: a factor of "
                 "safety needs a body under loads, such as its weight, that conditions hold"

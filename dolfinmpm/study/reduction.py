@@ -15,6 +15,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.units import warn_of_radians
 from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
+from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.fromstate import FromState
 from dolfinmpm.study.trial import FactorOfSafety, Trial, come_to_rest, held, largest_norm
@@ -100,7 +101,7 @@ def factor_of_safety(
         loading: A problem between steps, `mpm.QuasiStatic` or `mpm.Transient`. Or a generator
             function of the factor. The function builds the body with reduced strength, see
             `reduced_strength`. For each of at least two equal steps, it sets the load and yields
-            the problem. `factor_of_safety` then takes the step.
+            the problem, an `mpm.QuasiStatic`. `factor_of_safety` then takes the step.
         low: A factor at which the body stands.
         high: A factor at which the body fails.
         tolerance: Width of the interval at which the search ends.
@@ -157,6 +158,11 @@ def factor_of_safety(
         raise ParameterError(
             f"loading = {shown(loading)} must be an mpm.QuasiStatic or mpm.Transient, or a "
             "function of the factor that yields such a problem for each step"
+        )
+    if over is not None:
+        raise ParameterError(
+            f"over = {over!r} is for an mpm.Transient, not for a function of the factor: leave "
+            "it out"
         )
     found = _search(_FromStart(loading, growth), low, high, tolerance, label)
     failure = (
@@ -217,6 +223,13 @@ class _FromStart:
         way = _Way(self._elastic, self._growth)
         reason, problem = "", None
         for problem in problems:
+            if isinstance(problem, Problem) and problem.scheme.in_time:
+                raise ParameterError(
+                    f"the loading yields an mpm.{type(problem).__name__}, whose steps take time, "
+                    "and should yield an mpm.QuasiStatic. For soil with water give "
+                    "factor_of_safety the mpm.Transient itself, and over=, or a QuasiStatic with "
+                    "the pressure of the water as a field"
+                )
             if not callable(getattr(problem, "step", None)):
                 raise ParameterError(
                     f"the loading yields {shown(problem)}, and should yield the problem in every "

@@ -260,6 +260,13 @@ WRONG = {
     "no problem": (lambda p: 3, {}, "loading = 3 must be an mpm.QuasiStatic"),
     "one that returns": (lambda p: lambda factor: p, {}, "must be a generator"),
     "one that returns nothing": (lambda p: lambda factor: None, {}, "not `return problem`"),
+    "one that yields steps in time": (
+        lambda p: lambda factor: iter([heap(rule=mpm.Transient)[0]]), {},
+        "mpm.Transient, whose steps take time",
+    ),
+    "a time for a function": (
+        lambda p: lambda factor: iter([p]), {"over": 1.0}, "not for a function of the factor",
+    ),
     "steps": (lambda p: p, {"steps": 0}, "steps = 0"),
     "time that steps have not": (lambda p: p, {"over": 1.0}, "for mpm.Transient only"),
     "Newmark": (
