@@ -8,7 +8,7 @@ from dolfinmpm._platform.argumentchecks import nearest, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import set_by_user
 
-__all__ = ["Settled", "Uncopied"]
+__all__ = ["Settled", "Unchanged", "Uncopied"]
 
 
 class Uncopied:
@@ -30,8 +30,8 @@ class Uncopied:
         )
 
 
-class Settled(Uncopied):
-    """Base of classes that cannot be copied, and whose attributes only the library sets.
+class Unchanged:
+    """Base of classes whose attributes only the library sets.
 
     Plain Python would take a misspelt name without a word, and another value of a known one, which
     those who have read it already would not see.
@@ -51,3 +51,11 @@ class Settled(Uncopied):
                 f"other arguments, and give it to a new problem{near}"
             )
         super().__setattr__(name, value)
+
+
+class Settled(Uncopied, Unchanged):
+    """Base of classes that cannot be copied, and whose attributes only the library sets.
+
+    Raises:
+        ParameterError: A script sets an attribute, or such an object is copied.
+    """

@@ -22,6 +22,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.basis.bspline import greville
 from dolfinmpm.basis.lineweights import line_weights, overlapped
 from dolfinmpm.dynamics.clock import times
@@ -39,7 +40,7 @@ _KNOWN = 0.05
 _ALIKE = 1e-3
 
 
-class GroundColumn:
+class GroundColumn(Unchanged):
     """The motion of a column of level ground over time, for `free_field`. Collective.
 
     The problem is that of a column of the ground beside a body: with the same layers, the same

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import choice, coordinates, number, shown, whole
 from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError, warn
 from dolfinmpm._platform.filepaths import text_of
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.grid.userfunctions import VelocityByTime
 
 __all__ = ["InputMotion"]
@@ -22,7 +23,7 @@ _LEFT = 0.02
 _MISSED = 0.1
 
 
-class InputMotion(VelocityByTime):
+class InputMotion(Unchanged, VelocityByTime):
     """A recorded motion of the ground in one direction, for `absorbing(incoming=)` and `moving`.
 
     Between its samples the given quantity is linear. The others follow by exact integration. Before

@@ -33,6 +33,7 @@ from dolfinmpm._platform.argumentchecks import (
 )
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.terrain import Terrain
@@ -123,7 +124,7 @@ class Layer:
         )
 
 
-class Deposit:
+class Deposit(Unchanged):
     """Layers of ground under a surface. The last axis points up.
 
     The last layer goes on below its bottom. Heights may depend on the position. Below a sloping

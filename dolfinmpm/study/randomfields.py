@@ -20,6 +20,7 @@ from dolfinmpm._platform.argumentchecks import (
     whole,
 )
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import Unchanged
 
 __all__ = ["RandomField"]
 
@@ -38,7 +39,7 @@ _PEAK = 1.0 - 1e-6
 _AT_ONCE = 2_000_000
 
 
-class RandomField:
+class RandomField(Unchanged):
     """A lognormal or normal random field over a box, by its Karhunen–Loève modes.
 
     The field is exp(μ + σ Σ √λᵢ φᵢ(x) ξᵢ), or its exponent alone, with independent standard normal

@@ -9,6 +9,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm import study
 from dolfinmpm._platform.errors import ParameterError
 
 COMM = MPI.COMM_WORLD
@@ -68,3 +69,14 @@ def test_what_a_problem_sets_itself():
     problem.tolerance = 1e-8
     problem.step()
     assert problem.tolerance == 1e-8
+
+
+def test_what_nothing_reads():
+    ground = mpm.Deposit(5.0, [mpm.Layer(0.0, 18e3, K0=0.5)], water_table=3.0)
+    field = study.RandomField((0, 0), (9, 9), 3.0, mean=1e4, coefficient=0.3, modes=2)
+    column = mpm.GroundColumn(shaken(), 0.04, dt=0.02)
+    for thing in (ground, field, column, WAVE):
+        with pytest.raises(ParameterError, match="watertable is no attribute of it"):
+            thing.watertable = 4.0
+    with pytest.raises(ParameterError, match=r"read once. Make a new GroundColumn"):
+        column.time = TIMES
