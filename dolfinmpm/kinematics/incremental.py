@@ -28,6 +28,8 @@ _FUNCTIONS = {"jaumann": Jaumann, "small": SmallStrain}
 _TRIAL = 1e-6
 # points that are asked at a time for a tangent: their arrays fit into the cache
 _CHUNK = 4096
+# shares of mean stress and deviator by which a stress is moved into the yield surface
+_INSIDE, _LESS_DEVIATOR = 1e-6, 2e-6
 # no values at the end of a step are asked for
 _NOTHING = np.empty((0, 3, 3)), np.empty((0, 6)), np.empty((3, 0)), np.empty((0, 0))
 
@@ -185,6 +187,9 @@ class Incremental(StrainFormulation):
     def _of_tangents(self, size: int, measure: Callable[[Array], Array]) -> Array:
         """A function of DDSDDE at the present state without a strain increment.
 
+        Points that have yielded lie on the yield surface, where rounding would decide between the
+        elastic and the plastic DDSDDE. So the stress is a little within it, see `_move_inside`.
+
         Args:
             size: Number of values of the function per point.
             measure: Function of DDSDDE (Pa), shape (n, 6, 6) or (n, 4, 4), with results of the
@@ -198,6 +203,7 @@ class Incremental(StrainFormulation):
         for first in range(0, len(every), _CHUNK):
             rows = every[first : first + _CHUNK]
             work = self._work(rows)
+            _move_inside(work[:, OFFSETS["stress"] : OFFSETS["stress"] + m])
             status = self.umat.call(work, m)
             D = work[:, DDSDDE : DDSDDE + m * m].reshape(-1, m, m)
             bad = np.flatnonzero((status == 1) | ~np.isfinite(D.sum(axis=(1, 2))))
@@ -251,3 +257,17 @@ class Incremental(StrainFormulation):
             f"{H.reshape(d, d).tolist()}, stress {self.points['stress'][row].tolist()} Pa, "
             f"{state or 'no state variables'}{advice}"
         )
+
+
+def _move_inside(stress: Array) -> None:
+    """Move stresses on the yield surface a little into it, in place.
+
+    A smaller stress is within each convex surface around the origin or through it, and a deviator
+    that falls by more than the mean is within each cone from the origin.
+
+    Args:
+        stress: Components of a UMAT (Pa), shape (n, NTENS).
+    """
+    mean = stress[:, :3].mean(axis=1, keepdims=True)
+    stress *= 1.0 - _LESS_DEVIATOR
+    stress[:, :3] += (_LESS_DEVIATOR - _INSIDE) * mean

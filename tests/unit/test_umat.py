@@ -80,6 +80,24 @@ def test_moduli_of_penalties_are_those_of_the_built_in_law_in_axisymmetry(law, s
     np.testing.assert_allclose(*found, rtol=1e-5)
 
 
+@pytest.mark.parametrize("strain", ["jaumann", "small"])
+def test_moduli_are_elastic_where_points_have_yielded(strain):
+    """Rounding had decided between elastic and plastic moduli in penalties and wave speeds."""
+    E, nu = 1e6, 0.3
+    points = bodies("plane")[0]
+    formulation = strain_formulation(umat("mises.f", [E, nu, 1e3, 1e5], 1), points, strain)
+    formulation.bind()
+    d, rows = points.gdim, np.arange(len(points), dtype=np.int32)
+    H = 0.01 * np.random.default_rng(0).standard_normal((len(points), d * d))
+    for name, values in formulation.commit(H, rows).items():
+        points[name] = values
+    assert points["state_1"].min() > 0
+    M, G = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)), 0.5 * E / (1 + nu)
+    found = formulation.moduli()
+    np.testing.assert_allclose(found, np.broadcast_to([M, G], found.shape))
+    np.testing.assert_allclose(formulation.stiffness(), M)
+
+
 @pytest.mark.parametrize(
     "kind", [mpm.QuasiStatic, mpm.Newmark, pytest.param(mpm.Explicit, marks=pytest.mark.long)]
 )
