@@ -71,7 +71,8 @@ def _gradient(points: MaterialPoints, field: ActiveField, values: Array) -> Arra
     for k, column in enumerate(shifted.T):
         found[:, k] = np.bincount(p, column, len(points))
     weight, first, value, product, second = _split(found, d)
-    first = first / weight
+    # points of other tags than those of the field have no functions there, and no gradient
+    first = first / np.where(weight > 0.0, weight, 1.0)
     spread = second - weight[:, :, None] * first[:, :, None] * first[:, None]
     inverse = np.linalg.pinv(spread, rcond=_FLAT, hermitian=True)
     return np.einsum("pij,pj->pi", inverse, product - first * value)

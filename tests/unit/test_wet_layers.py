@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -75,6 +76,29 @@ def test_the_weight_of_two_soils_and_their_water_is_at_rest():
     points["pressure"] = ground.pore_pressure(points["x"].T)
     problem.step(1e3)
     assert np.abs(points["x"] - points["x0"]).max() < 1e-9
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_dry_soil_beside_wet_soil_has_no_pressure_gradient():
+    """It had been NaN after given pressures, and steps of GeneralisedAlpha failed."""
+    points, V, _, _ = layers()
+    Q = mpm.Space(points.grid, "gimp", shape=(), tag=1)
+    gravity = fem.Constant(points.grid, (0.0, -9.81))
+    F = mpm.poromechanics(
+        STIFF, points, (V.increment, Q.increment), (V.test, Q.test), permeability=1e-5,
+        porosity=0.3, gravity=gravity, rho_inf=0.8, tag=1,
+    )  # fmt: skip
+    F += mpm.momentum(SOFT, points, V.increment, V.test, tag=2)
+    F -= ufl.inner(points.density * gravity, V.test) * points.dX(2)
+    bcs = mpm.rollers(V, "left", "right", "bottom")
+    problem = mpm.GeneralisedAlpha(F, [V.increment, Q.increment], points, bcs, rho_inf=0.8)
+    wet = points["tag"] == 1
+    points["pressure"] = np.where(wet, 9810.0 * (INTERFACE - points["x"][:, 1]), 0.0)
+    for k in range(2):
+        problem.step(1e-3 * (k + 1))
+    wet = points["tag"] == 1
+    assert abs(points["pressure_gradient"][wet]).min(axis=0)[1] > 1e3
+    assert not points["pressure_gradient"][~wet].any()
 
 
 def test_facets_have_a_penalty_between_those_of_both_soils():
