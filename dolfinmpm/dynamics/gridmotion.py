@@ -179,10 +179,10 @@ class GridMotion:
                 A = self._mapped(mass, field)
         return MovingNodes(k, field.space.tags, mass, given, V, A)
 
-    def _penalise(self) -> None:
+    def _penalise(self, densities: Sequence[float] = ()) -> None:
         """Give a singular mass its ghost penalty from the next step on. Collective."""
         self.rule = replace(self.rule, by_forces=False)
-        self.terms.penalise()
+        self.terms.penalise(densities=densities)
 
     def _mapped(self, mass: Mass, field: ActiveField) -> Array:
         """Accelerations of nodes (m/s²) from those of points, shape (nodes, d). Collective."""
@@ -347,6 +347,7 @@ class GridMotion:
         return {
             "starting": int(self._starting),
             "by_forces": int(self.rule.by_forces),
+            "ghost_densities": self.terms.densities,
             "reserve": sorted(self.penalty_energy.energy.items()),
             "gained": self._gain.made,
         }
@@ -355,7 +356,11 @@ class GridMotion:
         """Restore a state returned by `state`."""
         self._starting = bool(state["starting"])
         if self.rule.by_forces and not state["by_forces"]:
-            self._penalise()
+            self._penalise(state.get("ghost_densities", ()))
+        elif state["by_forces"] and self.terms.densities:
+            # this problem found its mass singular after the state was saved
+            self.rule = replace(self.rule, by_forces=True)
+            self.terms.release()
         self.penalty_energy.energy.clear()
         self.penalty_energy.energy.update({int(k): energy for k, energy in state["reserve"]})
         self._gain.made = state["gained"]

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import number
@@ -64,6 +63,8 @@ class MassTerms(Term):
     ):
         self.points, self.kind, self._spaces, self._direct = points, kind, spaces, direct
         self.ghost: WeakForm | None = None
+        #: Largest density of each space when a run gave itself a ghost penalty (kg/m^d), or empty.
+        self.densities: list[float] = []
         self.factorised = False
         self._matrix: Matrix | None = None
         #: Whether a warning about a nearly singular mass has been given.
@@ -77,20 +78,38 @@ class MassTerms(Term):
         """See `Term`."""
         return set() if self.ghost is None else self.ghost.moving
 
-    def penalise(self, factors: Mapping[Space, float] | None = None) -> None:
+    def penalise(
+        self, factors: Mapping[Space, float] | None = None, densities: Sequence[float] = ()
+    ) -> None:
         """Give the mass a ghost penalty, γ_M J. Collective.
 
         Args:
             factors: γ_M of each space that moves points, in units of the largest density; the
                 defaults of `Newmark` if None.
+            densities: Largest density of each space (kg/m^d); by default that of the points. That
+                of a mixture with water changes from step to step, so a run that goes on from a
+                checkpoint takes the density at which its penalty began.
         """
+        late = factors is None
         if factors is None:
             own = [self._spaces[k] for k in movers(self._spaces)]
             factors = {space: _penalty_factor(space) for space in own}
-        J = [_ghost_mass(space, self.points, factor) for space, factor in factors.items() if factor]
+        found = [space for space, factor in factors.items() if factor]
+        if len(densities) != len(found):
+            densities = [_largest_density(space, self.points) for space in found]
+        J = [
+            ghost(self.points, space.increment, space.test, factors[space] * one, scaling="literal")
+            for space, one in zip(found, densities)
+        ]
+        self.densities = list(densities) if late else []
         if J:
             self.ghost = WeakForm(sum(J[1:], start=J[0]), self._spaces, self.points)
             self.factorised = self._direct and any(space.basis.degree > 1 for space in factors)
+
+    def release(self) -> None:
+        """Take a ghost penalty away that a run gave itself."""
+        if self.densities:
+            self.ghost, self.densities, self.factorised = None, [], False
 
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
         """See `Term`: the mass between the independent nodes of C. Collective."""
@@ -175,8 +194,7 @@ def _penalty_factor(space: Space) -> float:
     return 0.25 * GHOST_FACTORS[space.basis.degree]
 
 
-def _ghost_mass(space: Space, points: MaterialPoints, factor: float) -> ufl.Form:
-    """The ghost penalty of the mass on a space. Collective."""
+def _largest_density(space: Space, points: MaterialPoints) -> float:
+    """Largest density of the points of a space (kg/m^d). Collective."""
     own = points["density"][rows_within(points, space.tags)]
-    density = points.comm.allreduce(own.max(initial=0.0), op=MPI.MAX)
-    return ghost(points, space.increment, space.test, factor * density, scaling="literal")
+    return points.comm.allreduce(float(own.max(initial=0.0)), op=MPI.MAX)
