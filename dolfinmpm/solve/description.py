@@ -106,7 +106,10 @@ def _law(declaration: Declaration) -> str:
         for k, (name, value) in enumerate(values.items())
     ]
     words = (str, bool, int, float)
-    told += [f"{k}={v!r}" for k, v in vars(declaration.law).items() if isinstance(v, words)]
+    for k, v in vars(declaration.law).items():
+        # private integers are addresses of compiled functions, which each process has anew
+        if isinstance(v, words) and not (k.startswith("_") and isinstance(v, int)):
+            told.append(f"{k}={v!r}")
     tags = "" if declaration.tags is None else f" of tags {declaration.tags}"
     fbar = ", F-bar" if declaration.fbar else ""
     return f"{type(declaration.law).__name__}({', '.join(told)}){tags}{fbar}"
