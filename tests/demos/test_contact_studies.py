@@ -53,6 +53,13 @@ def test_hertz(tmp_path):
     assert (tmp_path / "hertz_cylinder.png").stat().st_size > 0
 
 
+def test_turned_block(tmp_path):
+    found = figures(tmp_path, "turned_block", "--cells", "8", "--angles", "0,30", "--steps", "2")
+    assert found["faces_8"] < 0.01
+    assert found["corners_8"] > 1.0
+    assert (tmp_path / "turned_block.png").stat().st_size > 0
+
+
 @pytest.mark.long
 def test_hertz_of_a_sphere(tmp_path):
     options = "--shape", "sphere", "--resolution", "4", "--steps", "1", "--no-plot"
