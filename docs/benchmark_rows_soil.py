@@ -202,7 +202,7 @@ ROWS = (
     Row("turned-block", STEEL, "block turned by 0 to 45° in the grid between two plates, 1 % of "
         "strain, 8, 16 cells over its width: largest error of the force (%), faces of the body, "
         "corners of domains",
-        each("turned_block"), percent("faces_8", "faces_16", "corners_8", "corners_16"),
+        each("turned_block", ""), percent("faces_8", "faces_16", "corners_8", "corners_16"),
         "{:.1f}, {:.1f}; {:.0f}, {:.0f}", EXACT),
     Row("discs-touching", STEEL, "two discs with separate fields collide, cells of R/4; R/8: "
         "least kinetic energy, rebound",
