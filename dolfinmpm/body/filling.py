@@ -79,7 +79,8 @@ def fill(
     With `exact`, every part that the surface of the shape cuts gets a point. The point has the
     volume and the centroid of the piece inside the shape. For shapes with a known volume and
     centroid, the volume and the centre of mass of the body are exact to rounding. These shapes are
-    `Box`, `Ball`, `TurnedBox`, `Polygon`, and shapes whose `volume` and `centroid` are set. For
+    `Box`, `Ball`, `TurnedBox`, `Polygon`, and shapes whose `volume` and `centroid` are set. Pieces
+    of a `Polygon` on a rectangular grid are exact, with faces at its edges; others are sampled. For
     combinations of shapes the volume is sampled, with an error of up to 1e-3 for a body eight
     cells wide, and of 4e-3 if a flat face lies between lines of the grid. Set the `volume` and
     the `centroid` of the combination (those of the section, if it is axisymmetric).

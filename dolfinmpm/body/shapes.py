@@ -267,6 +267,7 @@ class Polygon(Shape):
 
     Attributes:
         vertices: Its corners (m), shape (n, 2).
+        turn: 1 if they are in counter-clockwise order, else -1.
 
     Raises:
         ParameterError: The corners are not of that shape or not finite, a corner occurs
@@ -303,6 +304,7 @@ class Polygon(Shape):
         b = np.roll(a, -1, axis=0)
         cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
         self.volume = 0.5 * abs(float(cross.sum()))
+        self.turn = float(np.sign(cross.sum()))
         self.centroid = corners[0] + cross @ (a + b) / (3 * cross.sum())
 
 

@@ -1,12 +1,13 @@
 """Exact volumes and centres of mass of shapes whose surface cuts the parts of cells.
 
 A part that the surface cuts gets a point at the centroid of what is inside, with
-the volume of that, both estimated by sampling. The volumes of these points are then
-corrected so that the whole has the volume and the first moments of the shape:
+the volume of that. Boxes that a polygon cuts have exact ones, others are sampled. The volumes of
+these points are then corrected so that the whole has the volume and the first moments of the shape:
 V_i ← V_i exp(λ0 + λ·(x_i − c)), which is the smallest correction in the sense of relative
 entropy (the "raking" of survey statistics; Deville & Särndal 1992,
 doi 10.1080/01621459.1992.10475217) and keeps every volume positive. What little of the moments
-volumes cannot give, as in a body of a few points, is given by shifting them.
+volumes cannot give, as in a body of a few points, is given by shifting them. Pieces of a polygon
+that are boxes stay as they are, so that their faces lie on its edges.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.cellparts import Parts
-from dolfinmpm.body.shapes import Shape
+from dolfinmpm.body.cellparts import LatticeParts, Parts
+from dolfinmpm.body.polygonpieces import moments_in_boxes, touched_boxes
+from dolfinmpm.body.shapes import Polygon, Shape
 
 __all__ = ["Pieces", "correct", "pieces_inside"]
 
@@ -32,6 +34,8 @@ _MEASURE = {1: 256, 2: 16, 3: 8}
 _CHUNK = 200_000
 # Points of less than this share of a part would weigh next to nothing.
 _SLIVER = 0.01
+# Share of a part that is rounding, and that of the moments of a box
+_WHOLE, _ALIKE = 1e-11, 1e-6
 # Cut pieces share the correction alone as long as none changes by more than this factor.
 _MODERATE = 1.5
 # How far a piece may be shifted at the cost of changing its volume by all of it, in its size.
@@ -63,12 +67,14 @@ class Pieces:
 
 
 def pieces_inside(parts: Parts, shape: Shape) -> Pieces:
-    """The pieces of parts that are inside a shape, by sampling.
+    """The pieces of parts that are inside a shape: exact for boxes in a polygon, else by sampling.
 
     Args:
         parts: Parts of cells.
         shape: The shape that they must lie in.
     """
+    if isinstance(parts, LatticeParts) and isinstance(shape, Polygon):
+        return _pieces_in_polygon(parts, shape)
     gdim = parts.x.shape[1]
     some, cut = np.empty(len(parts.x), bool), np.empty(len(parts.x), bool)
     for rows in _chunks(np.arange(len(parts.x)), _FIND[gdim] ** gdim):
@@ -93,6 +99,32 @@ def pieces_inside(parts: Parts, shape: Shape) -> Pieces:
         volume[at] = weight.sum(axis=1)
         x[at] = np.einsum("rq,rqi->ri", weight, samples) / volume[at, None]
         spread[at] = _spread(samples, weight, x[at], _MEASURE[gdim])
+    kept = np.flatnonzero(some)
+    return Pieces(kept, x[kept], volume[kept], spread[kept], cut[kept])
+
+
+def _pieces_in_polygon(parts: LatticeParts, shape: Polygon) -> Pieces:
+    """The pieces of boxes in a polygon."""
+    low, high, size = parts.low, parts.high, parts.high - parts.low
+    cut = touched_boxes(shape.vertices, low, high)
+    x, volume, spread = parts.x.copy(), parts.volume.copy(), size / np.sqrt(12.0)
+    some = shape.contains(parts.x) | cut
+    rows = np.flatnonzero(cut)
+    moments = moments_in_boxes(shape.vertices, low[rows], high[rows]) * shape.turn
+    area = moments[:, 0]
+    # edges along faces of a part, up to rounding, do not cut it
+    whole = area >= (1 - _WHOLE) * volume[rows]
+    cut[rows[whole]] = False
+    # what slivers hold goes to their neighbours with the correction
+    held = area > _SLIVER * volume[rows]
+    some[rows[~held]] = False
+    rows, moments = rows[held & ~whole], moments[held & ~whole]
+    first = moments[:, 1:3] / moments[:, :1]
+    x[rows] += first
+    volume[rows] = moments[:, 0]
+    spread[rows] = np.sqrt(moments[:, 3:] / moments[:, :1] - first**2)
+    box = np.abs(12.0 * spread[rows].prod(axis=1) / volume[rows] - 1.0) < _ALIKE
+    cut[rows[box]] = False
     kept = np.flatnonzero(some)
     return Pieces(kept, x[kept], volume[kept], spread[kept], cut[kept])
 

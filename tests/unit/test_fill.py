@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     UnsupportedGridError,
 )
 from dolfinmpm.body import cellparts
+from dolfinmpm.body.polygonpieces import moments_in_boxes, touched_boxes
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -286,3 +287,47 @@ def test_more_points_than_can_be_meant_are_refused(monkeypatch):
     with pytest.raises(ParameterError, match="GB at least"):
         mpm.fill(grid, mpm.Box((0.1, 0.2), (0.8, 0.7)), 50, density=1.0, aligned="body")
     mpm.fill(grid, mpm.Box((0.1, 0.2), (0.8, 0.7)), per_cell=2, density=1.0)
+
+
+@pytest.mark.parametrize("top", [4.7, 4.55, 5.05])
+@pytest.mark.parametrize("h", [0.5, 0.25])
+def test_faces_of_a_polygon_between_lines(h, top):
+    """A slope whose crest lies within cells has whole faces at its crest and at its side."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(0, 14 + h, h), np.arange(0, 6 + h, h)])
+    corners = [(0, 0), (14, 0), (14, 2), (10, 2), (6, top), (0, top)]
+    shape = mpm.Polygon(corners)
+    points = mpm.fill(grid, shape, 2, 1.0, exact=True)
+    crest = mpm.Surface(points, lambda x: np.isclose(x[1], top), normal=(0, 1))
+    side = mpm.Surface(points, lambda x: np.isclose(x[0], 0.0), normal=(-1, 0))
+    assert crest.total_area == pytest.approx(6.0, rel=1e-12)
+    assert side.total_area == pytest.approx(top, rel=1e-12)
+    V0 = points["V0"]
+    assert points.comm.allreduce(V0.sum()) == pytest.approx(shape.volume, rel=1e-12)
+    np.testing.assert_allclose(V0 @ points["x"] / V0.sum(), shape.centroid, rtol=1e-11)
+
+
+def test_boxes_cut_polygons_exactly():
+    """Moments of a star in boxes add up to its own, in either order of its corners."""
+    angle = 2 * np.pi * np.arange(14) / 14 + 0.1
+    radius = np.where(np.arange(14) % 2, 0.3, 0.95)
+    corners = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    line = np.linspace(-1, 1, 14)
+    low = np.stack(np.meshgrid(line[:-1], line[:-1]), axis=-1).reshape(-1, 2)
+    high, star = low + 2 / 13, mpm.Polygon(corners)
+    found = moments_in_boxes(corners, low, high)
+    area, middle = found[:, :1], 0.5 * (low + high)
+    assert area.sum() == pytest.approx(star.volume, rel=1e-13)
+    first = np.sum(found[:, 1:3] + area * middle, axis=0)
+    np.testing.assert_allclose(first / star.volume, star.centroid, atol=1e-14)
+    second = found[:, 3:] + 2 * middle * found[:, 1:3] + area * middle**2
+    fine = star.contains(
+        np.stack(np.meshgrid(*[(np.arange(2000) + 0.5) / 1000 - 1] * 2), -1).reshape(-1, 2)
+    )
+    x = ((np.arange(2000) + 0.5) / 1000 - 1)[None].repeat(2000, 0).ravel()[fine]
+    assert second[:, 0].sum() == pytest.approx((x**2).sum() * 1e-6, rel=2e-3)
+    np.testing.assert_allclose(
+        moments_in_boxes(corners[::-1].copy(), low, high), -found, atol=1e-15
+    )
+    # only boxes that an edge enters are neither full nor empty
+    between = (area[:, 0] > 1e-12) & (area[:, 0] < (2 / 13) ** 2 - 1e-12)
+    assert not np.any(between & ~touched_boxes(corners, low, high))
