@@ -242,6 +242,14 @@ def HeldLoadWarning():
     mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
 
 
+def BuriedLoadWarning():
+    points, V = block()
+    middle = mpm.Boundary.from_polygon(points, [(1, 0.25), (0, 0.25)], closed=False)
+    F = mpm.momentum(SOIL, points, V.increment, V.test)
+    F += middle.pressure(1e3, V.increment, V.test)
+    mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+
+
 def IdlePointsWarning():
     points, V = block()
     points["tag"][points["x"][:, 1] < 0.4] = 3

@@ -17,6 +17,7 @@ import numpy as np
 from mpi4py import MPI
 
 __all__ = [
+    "BuriedLoadWarning",
     "CheckpointError",
     "ConflictingConditionsError",
     "ConvergenceError",
@@ -172,6 +173,10 @@ class FreeMotionWarning(DolfinMPMWarning):
 
 class HeldLoadWarning(DolfinMPMWarning):
     """A load acts on a face that a condition holds by Nitsche's method."""
+
+
+class BuriedLoadWarning(DolfinMPMWarning):
+    """A load on a boundary acts within the body, with material points on both sides."""
 
 
 class DegreesWarning(DolfinMPMWarning):

@@ -39,8 +39,9 @@ if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
 
 __all__ = [
-    "check_outward", "level_set_markers", "put_inside", "revolved", "rows_of", "segment_markers",
-    "segments_of", "share_within", "side_markers", "triangle_markers", "triangles_of",
+    "WITHIN", "check_outward", "level_set_markers", "put_inside", "revolved", "rows_of",
+    "segment_markers", "segments_of", "share_within", "side_markers", "triangle_markers",
+    "triangles_of",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -56,6 +57,8 @@ _MOST_PIECES = 1e7
 _NEAR, _MORE = 1.25, 4.0
 # and the least ratio of what is on both sides of a marker within a body
 _BOTH = 0.5
+# Share of a boundary with the body on both sides that its corners may have
+WITHIN = 0.2
 
 
 def revolved(points: Any, x: Array, area: Array) -> tuple[Array, Array]:

@@ -53,7 +53,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
-from dolfinmpm.body.markergeometry import share_within
+from dolfinmpm.body.markergeometry import WITHIN, share_within
 from dolfinmpm.body.surfaceloads import area_at_end, own_grid, pressure_of
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import begin_at_zero, first_step_share, mark_moving, own_constant
@@ -72,8 +72,6 @@ METHODS = ("nitsche", "skew", "penalty")
 # Penalties in units of M/h where none is given: what a penalty alone leaves of the gap is a
 # thousandth of a cell's extension; the skew method is stable with any.
 _SKEW, _PENALTY = 1.0, {"penalty": 1e3}
-# Share of a boundary with the body on both sides that its corners may have
-_WITHIN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +305,7 @@ def refuse_within(boundary: Boundary, method: str, tags: Sequence[int] | None = 
     """
     points, markers = boundary.points, boundary.markers
     share = share_within(points, markers["x"], markers["area"], tags)
-    if share > _WITHIN:
+    if share > WITHIN:
         raise ParameterError(
             f"{100 * share:.0f} % of the boundary '{boundary.name}' run through the body, with "
             f'material points on both sides, and method="{method}" takes the traction of one side: '

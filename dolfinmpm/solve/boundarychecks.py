@@ -12,11 +12,12 @@ import ufl
 from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 
-from dolfinmpm._platform.errors import FormError, HeldLoadWarning, warn
+from dolfinmpm._platform.errors import BuriedLoadWarning, FormError, HeldLoadWarning, warn
 from dolfinmpm._platform.plainvalues import plain_value
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formsigns import MARK, PRESSURE
+from dolfinmpm.body.markergeometry import WITHIN, share_within
 from dolfinmpm.body.points import PointField
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CarriedField
@@ -58,8 +59,10 @@ def check_boundary_conditions(
 
     Warns:
         HeldLoadWarning: A load acts on a face that Nitsche's method holds.
+        BuriedLoadWarning: A load acts on a boundary through the body.
     """
     for of in boundaries:
+        _warn_within(of, form)
         for one, other in itertools.combinations(of.conditions, 2):
             if _same(one, other):
                 what = "wall (mpm.signorini)" if isinstance(one, Wall) else "condition"
@@ -73,6 +76,32 @@ def check_boundary_conditions(
                 _check_sides(condition, declarations)
                 _check_water(condition, carried)
                 _warn_of_loads(condition, form)
+
+
+def _warn_within(of: BoundaryTerm, form: ufl.Form) -> None:
+    """Warn if a pressure or traction acts on a boundary through the body. Collective.
+
+    The body on both sides carries such a load. The wall of a cavity is not within the body: the
+    cavity has no points.
+    """
+    boundary = of.boundary
+    marks = [integral.metadata() or {} for integral in form.integrals()]
+    own = [m for m in marks if m.get("boundary") is boundary and "condition" not in m]
+    loads = [m[MARK] for m in own if MARK in m]
+    if not loads:
+        return
+    points, markers = boundary.points, boundary.markers
+    share = share_within(points, markers["x"], markers["area"], of.tags)
+    if share > WITHIN:
+        warn(
+            points.comm,
+            f"{loads[0]} acts within the body: {100 * share:.0f} % of the boundary have material "
+            f"points on both sides, and a face of the body has them on one side, up to "
+            f"{100 * WITHIN:.0f} % at its corners. The body on both sides carries the load. Give "
+            "the line or surface at which the body ends, or remove the points in front of it. For "
+            "a load that is meant within the body, take a body force over points.dX",
+            BuriedLoadWarning,
+        )
 
 
 def _tags_of(condition: Any) -> Any:

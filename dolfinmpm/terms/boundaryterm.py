@@ -65,12 +65,12 @@ class BoundaryTerm(Term):
         spaces: Spaces of the increments.
 
     Attributes:
-        boundary, regions, declarations, conditions: See `BoundaryTerms`.
+        boundary, regions, tags, declarations, conditions: See `BoundaryTerms`.
     """
 
     def __init__(self, of: BoundaryTerms, spaces: Sequence[Space]):
         self._of = of
-        self.boundary, self.regions = of.boundary, of.regions
+        self.boundary, self.regions, self.tags = of.boundary, of.regions, of.tags
         self.declarations, self.conditions = of.declarations, of.conditions
         self.updates = PointUpdates(
             {name: e for c in of.conditions for name, e in c.updates.items()},
@@ -113,7 +113,7 @@ class BoundaryTerm(Term):
         if self.boundary.follows:
             leave_with_removed(self.boundary)
         if self._of.stateful:
-            take_state(self.boundary, self._of.tags)
+            take_state(self.boundary, self.tags)
         if markers.configuration == "total" and not self.boundary.follows:
             reference_wall(self.boundary)
 
@@ -272,7 +272,7 @@ class BoundaryTerm(Term):
             markers.fields["cell"] = cells_here(markers.grid, self.boundary.seen)
             markers.recount()
         if self._of.stateful:
-            take_state(self.boundary, self._of.tags)
+            take_state(self.boundary, self.tags)
 
     @property
     def _kept(self) -> list[str]:
