@@ -11,6 +11,7 @@ from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import DegreesWarning, warn
 
 __all__ = [
+    "FAR_MODULI",
     "LARGEST_FRICTION",
     "LARGEST_MODULUS",
     "LARGEST_PENALTY",
@@ -26,6 +27,8 @@ LARGEST_FRICTION = 1e30
 # Penalties in units of a stiffness: beyond the largest, rounding is all that is left of the other
 # forces, and balances may be found in bodies that cannot move; below the least nothing is held
 LEAST_PENALTY, LARGEST_PENALTY = 1e-6, 1e12
+# Ratio of two moduli of one body from which on they have different units
+FAR_MODULI = 100.0
 # Modulus (Pa) that no material has, and no unit of it makes
 LARGEST_MODULUS = 1e20
 

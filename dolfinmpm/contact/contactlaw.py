@@ -28,7 +28,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import number, refuse_idle
-from dolfinmpm._platform.units import LARGEST_PENALTY, LEAST_PENALTY, friction_coefficient
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import (
+    FAR_MODULI,
+    LARGEST_PENALTY,
+    LEAST_PENALTY,
+    friction_coefficient,
+)
 
 __all__ = [
     "FREE",
@@ -43,6 +49,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
+# Penalty by default, in units of E/h
+USUAL_PENALTY = 5.0
 # A point that slips does so at μ p, or it shears at τ A: between the two is a kink of the force
 FREE, STICKS, SLIPS, SHEARS = 0, 1, 2, 3
 
@@ -76,7 +84,9 @@ class ContactLaw:
         number("penalty", self.penalty, LEAST_PENALTY, LARGEST_PENALTY, closed=True)
         if self.stiffness is not None:
             number("stiffness_per_area", self.stiffness, 0.0, unit="Pa/m")
-            refuse_idle("penalty", self.penalty, 5.0, "stiffness_per_area is given in its place")
+            refuse_idle(
+                "penalty", self.penalty, USUAL_PENALTY, "stiffness_per_area is given in its place"
+            )
         number("slip_stiffness", self.slip_share, 0.0, LARGEST_PENALTY)
         if not self.friction:
             refuse_idle("slip_stiffness", self.slip_share, 0.5, "it is of friction: give friction=")
@@ -85,6 +95,24 @@ class ContactLaw:
             number("shear_limit", self.shear_limit, 0.0, unit="Pa")
         if self.penetration is not None:
             number("penetration", self.penetration, 0.0, unit="m")
+
+    def refuse_soft(self, owner: str, E: float, cell: float) -> None:
+        """Raise ParameterError if a given κ is far below the default one, as in kPa/m for Pa/m.
+
+        Args:
+            owner: The contact, in words.
+            E: Young's modulus of the body (Pa); 0 if it is not known.
+            cell: Size of the cells (m).
+        """
+        usual = USUAL_PENALTY * E / cell
+        if self.stiffness is not None and self.stiffness < usual / FAR_MODULI:
+            raise ParameterError(
+                f"{owner} has stiffness_per_area = {self.stiffness:g} Pa/m, less than a hundredth "
+                f"of the usual {USUAL_PENALTY:g} E/h = {usual:.3g} Pa/m (E = {E:.3g} Pa, cells of "
+                f"{cell:.3g} m): the bodies would pass into each other. Give it in Pa/m, or leave "
+                "it out. For a contact that is meant to be as soft, give "
+                f"penalty={self.stiffness * cell / E:.3g}, in units of E/h"
+            )
 
     def largest_slip_forces(self, areas: Array) -> Array:
         """τ A at contact points (N), shape (m,); infinite without a limit.

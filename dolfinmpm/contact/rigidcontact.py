@@ -142,23 +142,18 @@ class RigidContact(Term):
         points.add_field(names.overlap, (count,), "m")
         if self.shares_surface:
             points.add_field(names.slip_area, (count,), "m^(d-1)")
+        cell = self.u._dolfinmpm_space.finest_cell
         if self.law.stiffness is not None:
+            self._refuse_soft(declarations, cell)
             return
         points.add_field(names.modulus, (), "Pa")
         if self._cell is None:
             # a regridded grid must not change the stiffness of the contact
-            self._cell = self.u._dolfinmpm_space.finest_cell
+            self._cell = cell
         E = points[names.modulus]
         new = E == 0.0
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
-            found = np.zeros((len(points), 2))
-            for declaration in declarations:
-                found[declaration.rows] = declaration.elastic.moduli()
-            lame = found[:, 0] - 2 * found[:, 1]
-            whole = found[:, 0] - found[:, 1]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                young = found[:, 1] * (2 * found[:, 1] + 3 * lame) / whole
-            E[new] = np.where(whole > 0, young, 0.0)[new]
+            E[new] = self._young(declarations)[new]
         error = None
         mine = np.ones(len(points), bool) if self.tags is None else self.chosen()
         if not np.all(E[mine] > 0):
@@ -169,6 +164,25 @@ class RigidContact(Term):
                 "Pa/m"
             )
         raise_together(points.comm, error)
+
+    def _young(self, declarations: Sequence[Declaration]) -> Array:
+        """Young's moduli of the laws at this rank's points (Pa); 0 where a law has none."""
+        found = np.zeros((len(self.points), 2))
+        for declaration in declarations:
+            found[declaration.rows] = declaration.elastic.moduli()
+        lame = found[:, 0] - 2 * found[:, 1]
+        whole = found[:, 0] - found[:, 1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            young = found[:, 1] * (2 * found[:, 1] + 3 * lame) / whole
+        return np.where(whole > 0, young, 0.0)
+
+    def _refuse_soft(self, declarations: Sequence[Declaration], cell: float) -> None:
+        """Raise ParameterError if κ is far too small for the softest point. Collective."""
+        E = self._young(declarations)
+        E = E[(E > 0.0) & (self.chosen() if self.tags is not None else True)]
+        least = float(E.min(initial=np.inf))
+        least = self.points.comm.allreduce(least, op=MPI.MIN)
+        self.law.refuse_soft(repr(self), least if np.isfinite(least) else 0.0, cell)
 
     def on(self, here: Activation) -> ActiveRigidContact:
         """See `Term`. Collective."""
@@ -292,7 +306,7 @@ def contact(
         penalty: κ in units of E/h: E is Young's modulus in the first state of the points, h the
             smallest height of a cell. About 100 for stiff confined bodies.
             `mpm.stiffness_per_area` returns κ.
-        stiffness_per_area: κ itself (Pa/m), instead of `penalty`.
+        stiffness_per_area: κ itself (Pa/m), instead of `penalty`; at least 0.05 E/h.
         slip_stiffness: Tangential stiffness during stick, as a share of κ.
         penetration: Largest penetration (m), or None for the penalty alone.
         surface: Faces that touch, instead of all corners: a `Surface`, or a `Boundary` that follows

@@ -154,23 +154,24 @@ class TwoBodyContact(Term):
         if self.names.force not in first.forces:
             first.forces.append(self.names.force)
             second.against.append((markers, self.names.force))
-        if self.law.stiffness is not None:
-            return
-        moduli = []
+        cell, moduli = smallest_height(points.grid), []
         for k, u in enumerate(self.u):
             own = [d for d in declarations if d.u is u]
             found = max(
                 (float(_young(d.elastic.moduli()).max(initial=0.0)) for d in own), default=0.0
             )
             moduli.append(points.comm.allreduce(found, op=MPI.MAX))
-            if not moduli[k] > 0.0:
+            if self.law.stiffness is None and not moduli[k] > 0.0:
                 raise ParameterError(
                     f"{self!r} takes its penalty from Young's moduli, and no law of the form has "
                     f"one for the body of {self.boundaries[k]}: give "
                     "contact_between(..., stiffness_per_area=...) in Pa/m"
                 )
-        both = 2.0 * moduli[0] * moduli[1] / (moduli[0] + moduli[1])
-        self.stiffness = self.law.penalty * both / smallest_height(points.grid)
+        both = 2.0 * moduli[0] * moduli[1] / (sum(moduli) or 1.0)
+        if self.law.stiffness is not None:
+            self.law.refuse_soft(repr(self), both, cell)
+            return
+        self.stiffness = self.law.penalty * both / cell
 
 
 def _young(moduli):
@@ -229,7 +230,7 @@ def contact_between(
         penalty: κ in units of E/h: E is the harmonic mean of the bodies' Young's moduli, h the
             smallest height of a cell. `mpm.stiffness_per_area` returns κ. Where leaves are smaller
             than the cells of the grid, κ grows with the ratio of their heights.
-        stiffness_per_area: κ itself (Pa/m), instead of `penalty`.
+        stiffness_per_area: κ itself (Pa/m), instead of `penalty`; at least 0.05 E/h.
         slip_stiffness: Tangential stiffness during stick, as a share of κ.
         penetration: Largest penetration (m), or None for the penalty alone.
 

@@ -17,6 +17,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.compat import restrict
 from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.units import FAR_MODULI
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.formsigns import MARK
@@ -36,10 +37,6 @@ __all__ = [
     "check_moving",
     "check_signs",
 ]
-
-
-# Ratio of two moduli of one body from which on they have different units
-_FAR = 100.0
 
 
 def check_form(form: Any) -> None:
@@ -205,7 +202,7 @@ def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
 
 
 def _check_given(form: ufl.Form, E: float, law: Any) -> None:
-    """Refuse a penalty that was made with a modulus far below those of the laws.
+    """Refuse the penalty of a footing that goes with a modulus far below those of the laws.
 
     The footing would sink into the body by itself: its load was 7 % too low with kPa for Pa.
 
@@ -215,12 +212,13 @@ def _check_given(form: ufl.Form, E: float, law: Any) -> None:
         law: Its law.
     """
     for field in extract_coefficients(form):
-        given, owner = getattr(field, "softest", None) or (E, "")
-        if given < E / _FAR:
+        given, owner, has = getattr(field, "softest", None) or (E, "", "")
+        if given < E / FAR_MODULI:
             raise ParameterError(
-                f"{owner} has E = {given:g} Pa, and {law!r} is {E / given:.3g} times stiffer: the "
-                "footing would sink into the body by itself. Give it the Young's modulus of the "
-                "body, in the unit of the law, or stiffness= (Pa/m)"
+                f"{owner} has {has}, and {law!r} is {E / given:.3g} times stiffer, more than "
+                f"{FAR_MODULI:g} times: the footing would sink into the body by itself. Give it "
+                "E=, the Young's modulus of the body, in the unit of the law, or a larger "
+                "stiffness= (Pa/m)"
             )
 
 

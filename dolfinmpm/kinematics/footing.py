@@ -37,7 +37,8 @@ class FaceMotion(CarriedField):
     """Motion of the faces under a footing since it was made (m), by the whole increments."""
 
     level = None
-    softest: tuple[float, str] | None = None  # Young's modulus of the body as given, and its owner
+    # Young's modulus (Pa) that goes with the penalty, its owner, and what was given
+    softest: tuple[float, str, str] | None = None
 
 
 class RigidFooting(ReadOnce):
@@ -72,7 +73,8 @@ class RigidFooting(ReadOnce):
     Raises:
         ParameterError: The surface has no axis for its normal, the settlement is not a scalar
             constant, neither E nor the stiffness is positive and finite, or an argument is
-            assigned to later. A problem raises it if a law has fbar="volumes".
+            assigned to later. A problem raises it if a law has fbar="volumes", or if the penalty is
+            less than a hundredth of the default one for the law.
         FormError: `Explicit` raises it, because its steps would be very short.
 
     A footing of 2 m, 1 cm down:
@@ -122,13 +124,14 @@ class RigidFooting(ReadOnce):
                 "dolfinx.fem.Constant(points.grid, 0.0)"
             )
         number("settlement", float(settlement.value), unit="m")
+        cell = _largest_cell(points)
         if stiffness is None:
             if E is None:
                 raise ParameterError(
                     "a footing needs the Young's modulus of the body, E = ... (Pa), for the "
                     f"stiffness {_STIFFNESS:g} E/h by default, or stiffness = ... (Pa/m)"
                 )
-            stiffness = _STIFFNESS * number("E", E, 0.0, unit="Pa") / _largest_cell(points)
+            stiffness = _STIFFNESS * number("E", E, 0.0, unit="Pa") / cell
         elif E is not None:
             raise ParameterError("E and stiffness are both given; give one of them")
         self.surface, self.settlement = surface, settlement
@@ -141,8 +144,11 @@ class RigidFooting(ReadOnce):
         motion = next(name for name in names if name not in points.fields)
         points.add_field(motion, (points.gdim,), "m")
         self._motion = FaceMotion(points, motion, (points.gdim,), "m")
-        if E is not None:
-            self._motion.softest = float(E), f"the RigidFooting on '{surface.name}'"
+        goes_with = self.stiffness * cell / _STIFFNESS
+        given = f"E = {goes_with:g} Pa"
+        if E is None:
+            given = f"stiffness = {self.stiffness:g} Pa/m, which goes with {given}"
+        self._motion.softest = goes_with, f"the RigidFooting on '{surface.name}'", given
         edges = _edges(surface)
         self._faces = surface._cut(edges) if np.isfinite(edges).any() else surface
         self._motion.surface = self._faces
