@@ -156,7 +156,7 @@ class DolfinMPMWarning(UserWarning):
 
 
 class IdleConditionWarning(DolfinMPMWarning):
-    """A condition or a load acts on no part of the body."""
+    """A condition or a load acts on no part of the body, or sizes for `refine` on no cell."""
 
 
 class IdlePointsWarning(DolfinMPMWarning):

@@ -13,12 +13,17 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import shown, whole
-from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.errors import (
+    IdleConditionWarning,
+    ParameterError,
+    call_together,
+    warn,
+)
 from dolfinmpm.basis.latticebasis import LatticeBasis
 from dolfinmpm.basis.leafbasis import LeafBasis
 from dolfinmpm.basis.stencils import Placement
 from dolfinmpm.grid.lattice import Lattice, require_lattice
-from dolfinmpm.grid.leaves import Leaves, leaves_of
+from dolfinmpm.grid.leaves import Leaves, Tree, leaves_of
 from dolfinmpm.grid.linecells import relative_rounding
 from dolfinmpm.grid.partition import Partition
 from dolfinmpm.grid.userfunctions import call_function
@@ -145,6 +150,7 @@ class Refinement:
         self._grid, self.sizes, self.levels = grid, tuple(sizes), levels
         self.leaves: Leaves | None = None
         self._former: Leaves | None = None
+        self._seen = False
         self._bases: dict[tuple[int, int], tuple[Partition | None, LeafBasis]] = {}
 
     @property
@@ -219,10 +225,39 @@ class Refinement:
         half = where.half if averaged else np.zeros_like(where.half)
         comm = self._grid.comm
         made = leaves_of(comm, self.lattice, self.levels, where.x, half, self.wanted, self._former)
+        first, self._seen = not self._seen, True
+        if first and (made.size == 1 << self.levels).all():
+            self._warn_of_idle()
         if not made.same(self.leaves):
             self.leaves, self._bases = made, {}
         assert self.leaves is not None
         return self.leaves
+
+    def _warn_of_idle(self) -> None:
+        """Warn of sizes that are nowhere below those of the cells of the grid. Collective.
+
+        Sizes that a function leaves infinite everywhere may become finite later.
+        """
+        comm, tree = self._grid.comm, Tree.roots(self.lattice, self.levels)
+        low, high = tree.corners(np.arange(len(tree.low)))
+        edge = np.prod(high - low, axis=1) ** (1 / low.shape[1])
+        below = edge * (1 - relative_rounding(self.lattice.lines, 2.0**-self.levels))
+        for one in self.sizes:
+            size: Array = np.full(len(low), getattr(one, "least", np.inf))
+            if not hasattr(one, "least"):
+                size = call_together(comm, partial(_sizes_of, one, low, high))
+            found = np.array([size.min(), -float((size < below).any())])
+            comm.Allreduce(MPI.IN_PLACE, found, op=MPI.MIN)
+            if np.isfinite(found[0]) and not found[1]:
+                told = getattr(one, "told", type(one).__name__)
+                warn(
+                    comm,
+                    f"refine = {told} refines nothing: the least size that it wants is "
+                    f"{found[0]:.4g} m, and cells of the grid are {edge.max():.4g} m wide. Give "
+                    f"sizes below {edge.max():.4g} m, in the unit of the grid (m), or leave "
+                    "refine and levels out",
+                    IdleConditionWarning,
+                )
 
     def basis(self, base: LatticeBasis, layers: int, partition: Partition | None) -> LeafBasis:
         """The basis on the present leaves. The same arguments return the same object.

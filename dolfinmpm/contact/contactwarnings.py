@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from dolfinmpm._platform.errors import (
     warn,
 )
 from dolfinmpm.body.location import bounds
+from dolfinmpm.contact.surfaces import HalfSpace
 
 if TYPE_CHECKING:
     from dolfinmpm.contact.rigidcontact import RigidContact
@@ -72,9 +74,14 @@ def _warn_of_overlap(active: Any) -> None:
 def _warn_of_distance(contact: RigidContact) -> None:
     """Warn of a body that begins so far from the grid that its unit of length is another one."""
     body, (low, high) = contact.body, bounds(contact.points.grid)
-    at = body.start.shift
-    gaps = np.maximum(body.surface.low + at - high, low - body.surface.high - at)
-    distance, length = float(np.linalg.norm(np.maximum(gaps, 0.0))), float((high - low).max())
+    at, surface, length = body.start.shift, body.surface, float((high - low).max())
+    if isinstance(surface, HalfSpace):
+        # it has no ends, and may have turned: the nearest corner of the grid tells
+        corners = np.array(list(itertools.product(*zip(low, high))))
+        gaps = surface.probe(body.start.back(corners))[0].min(keepdims=True)
+    else:
+        gaps = np.maximum(surface.low + at - high, low - surface.high - at)
+    distance = float(np.linalg.norm(np.maximum(gaps, 0.0)))
     if distance > _FAR * length:
         warn(
             contact.points.comm,

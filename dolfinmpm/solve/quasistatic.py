@@ -120,7 +120,7 @@ class QuasiStatic(Problem):
     -10151.85
     """
 
-    _live = frozenset({"tolerance", "max_iterations", "max_halvings"})
+    _live = frozenset({"tolerance", "max_iterations", "max_halvings", "share"})
 
     scheme: Static
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -83,6 +84,21 @@ def test_a_rigid_body_far_from_the_grid_is_told():
         else:
             problem.step()
         assert np.all(body.force == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("point", "normal", "far"),
+    [((0, 300), (0, -1), True), ((0, -300), (0, 1), True), ((0, 9), (0, -1), False)],
+)
+def test_a_rigid_plane_far_from_the_grid_is_told(point, normal, far):
+    points, V, F = block()
+    plane = mpm.RigidBody(mpm.Plane(point, normal), increment=(0, 0), name="plane")
+    F += mpm.contact(plane, points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        problem.step()
+    assert [w.category for w in told] == far * [IdleConditionWarning]
 
 
 def test_the_density_is_over_first_volumes():

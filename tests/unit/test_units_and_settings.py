@@ -66,9 +66,10 @@ def test_what_a_problem_sets_itself():
     for name in ("bodies", "here", "essential_conditions"):
         with pytest.raises(ParameterError, match=f"sets {name} itself"):
             setattr(problem, name, None)
-    problem.tolerance = 1e-8
+    problem.tolerance, problem.share = 1e-8, 0.5
     problem.step()
     assert problem.tolerance == 1e-8
+    assert problem.history[-1].parts == 2
 
 
 def test_what_nothing_reads():
