@@ -20,6 +20,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm._platform.uncopied import unchanged
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.linecells import coordinate_rounding
@@ -41,8 +42,10 @@ Given = float | fem.Constant | Callable[[npt.NDArray[np.float64]], npt.ArrayLike
 
 # Default of arguments for which None is a bad value
 _NOT_GIVEN: Any = object()
+_REMEDY = "Give prescribed a dolfinx.fem.Constant, whose value you set, or make a new problem"
 
 
+@unchanged(_REMEDY)
 @dataclass(frozen=True)
 class Condition:
     """One component of a field, prescribed at some nodes.

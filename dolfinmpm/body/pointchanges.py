@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.body.childvalues import surfaces
 from dolfinmpm.body.energychanges import counted
 from dolfinmpm.body.loadbalance import redistributed
@@ -36,6 +37,7 @@ Array = npt.NDArray[Any]
 _SAME = 1e-6
 
 
+@unchanged(FOUND)
 @dataclass(frozen=True)
 class PointChange:
     """What came to a body or went.

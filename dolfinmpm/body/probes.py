@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
     UnknownNameError,
     call_together,
 )
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.markerstate import keys_of
 from dolfinmpm.body.points import MaterialPoints
@@ -78,7 +79,7 @@ def probe(points: MaterialPoints, place: npt.ArrayLike) -> Probe:
     return Probe(points, place)
 
 
-class Probe:
+class Probe(Unchanged):
     """A place of a body, and values at the place; made by `probe`.
 
     `crest["stress"]` is the weighted mean of a field of the points, the same on all ranks.

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.argumentchecks import as_tags, number, shown, vector
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, SectionAtEndWarning, warn
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
@@ -31,6 +32,7 @@ Array = npt.NDArray[np.float64]
 _MOST_MISSING = 0.02
 
 
+@unchanged(FOUND)
 @dataclass(frozen=True)
 class SectionForces:
     """Force and moment in a section, see `section_forces`.

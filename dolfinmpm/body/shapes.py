@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_function, coordinates, number, shown
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm._platform.units import in_radians
 
 __all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
@@ -21,7 +22,7 @@ Array = npt.NDArray[np.float64]
 _LARGEST = 1e100
 
 
-class Shape:
+class Shape(Unchanged):
     """A region of space, the base class of all shapes; see `Where` for a region by a function.
 
     Args:
@@ -39,6 +40,8 @@ class Shape:
         volume: Volume (m^d), or None if not known, as for combinations; it may be set.
         centroid: Centroid (m), shape (gdim,), or None if not known; it may be set.
     """
+
+    _live = frozenset({"volume", "centroid"})
 
     volume: float | None = None
     centroid: Array | None = None

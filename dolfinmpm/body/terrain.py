@@ -19,6 +19,7 @@ from dolfinmpm._platform.argumentchecks import (
     whole,
 )
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.heightvolumes import closed_mesh, volume_between
 from dolfinmpm.body.rasters import raster_of_array, read_raster, refuse_marks, windowed
 from dolfinmpm.body.shapes import Polygon, Shape
@@ -34,7 +35,7 @@ _SLACK = 1e-9
 _MOST_PARTS = 100_000
 
 
-class Terrain:
+class Terrain(Unchanged):
     """A surface of heights: bilinear between the nodes of a raster, linear along a section in 2D.
 
     A terrain is a function of positions x, shape (gdim, n), that returns n heights. So it serves as

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbody import RigidBody
@@ -20,7 +21,7 @@ __all__ = ["near", "where_it_yields"]
 Array = npt.NDArray[np.float64]
 
 
-class _Near:
+class _Near(Unchanged):
     """See `near`."""
 
     def __init__(
@@ -86,7 +87,7 @@ def near(
     return _Near(body, surface, float(size), float(reach), number("growth", growth, 0.0))
 
 
-class _WhereItYields:
+class _WhereItYields(Unchanged):
     """See `where_it_yields`."""
 
     def __init__(self, points: MaterialPoints, size: float, field: str, least: float):

@@ -12,6 +12,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import unchanged
 from dolfinmpm._platform.units import LARGEST_MODULUS
 from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.basis.space import Space
@@ -52,6 +53,7 @@ WEAK_FACTORS = {1: 1.0, 2: 0.3, 3: 0.1}
 THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
 
 
+@unchanged()
 @dataclass(frozen=True)
 class Stabilisation:
     """A stabilisation against small cuts and its parameters.

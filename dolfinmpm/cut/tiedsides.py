@@ -16,6 +16,7 @@ from dolfinmpm._platform.errors import (
     UnsupportedGridError,
     raise_together,
 )
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
@@ -105,7 +106,7 @@ def tied(space: Space, period: float, *, axis: int = 0) -> TiedSides:
     return TiedSides(axis, count, sizes.size)
 
 
-class TiedSides:
+class TiedSides(Unchanged):
     """Constraints between nodes one period apart, see `tied`.
 
     Args:

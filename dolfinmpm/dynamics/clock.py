@@ -16,6 +16,7 @@ from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.argumentchecks import array_of, check_kind, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.grid.userfunctions import VelocityByTime
@@ -187,6 +188,7 @@ def _chosen(start: float, end: float, label: str, at_once: int) -> Iterator[Time
             show(t - start)
 
 
+@unchanged(FOUND)
 @dataclass
 class MotionRecord(StepRecord):
     """Report of one call of `step` in time.

@@ -38,6 +38,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import unchanged
 from dolfinmpm._platform.units import LARGEST_FRICTION, friction_coefficient
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.facesatnodes import Faces
@@ -53,6 +54,7 @@ _ROOM = 0.02
 _LEFT = 0.25
 
 
+@unchanged()
 @dataclass(frozen=True)
 class Collision:
     """Contact of bodies at the grid's nodes, for `Explicit`.

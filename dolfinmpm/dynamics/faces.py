@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import check_function, check_kind, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
+from dolfinmpm._platform.uncopied import unchanged
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis.conditions import Condition, prescribed
 from dolfinmpm.basis.space import Space
@@ -37,6 +38,7 @@ __all__ = [
 _GHOST_BESIDE = {1: 1e-3, 2: 1e-2, 3: 1e-1}
 
 
+@unchanged()
 @dataclass(frozen=True)
 class Face:
     """A side of the grid that acts on the body.

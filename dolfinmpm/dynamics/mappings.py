@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import choice, number, whole
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import unchanged
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveField
@@ -51,6 +52,7 @@ class NodalMotion:
     push: Array | None = None
 
 
+@unchanged()
 @dataclass(frozen=True)
 class Mapping:
     """A velocity mapping.

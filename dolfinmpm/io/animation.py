@@ -22,6 +22,7 @@ from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import DolfinMPMWarning, ParameterError, call_together, warn
 from dolfinmpm._platform.filepaths import file_path
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.basis.refinement import leaves_on
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
@@ -68,7 +69,7 @@ def _comm_of(film: Film, *_: Any, **__: Any) -> MPI.Intracomm:
     return film._comm
 
 
-class Film:
+class Film(Unchanged):
     """A film of a run: call `write(time)` after each step, and `close()`, or use it in `with`.
 
     `mpm.animate(points, path, ...)` makes it. Frames are kept in a folder for temporary files until

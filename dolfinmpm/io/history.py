@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm._platform.filepaths import file_path
 from dolfinmpm._platform.html import table
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.figures import check_size, figure
 from dolfinmpm.io.ownership import refuse_other, take_paths
@@ -35,7 +36,7 @@ _ROUNDING = 1e-6
 _LEAST = 1e-9
 
 
-class History:
+class History(Unchanged):
     """Named numbers, one value per name and step.
 
     Call `history.record(settlement=s.value, load=footing.load())` after every step. Then

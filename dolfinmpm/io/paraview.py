@@ -15,6 +15,7 @@ from dolfinmpm._platform.argumentchecks import number, shown, truth
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_on_root, call_together
 from dolfinmpm._platform.filepaths import file_path
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.basis.refinement import leaves_on, refinements_on
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
@@ -36,7 +37,7 @@ from dolfinmpm.io.vtkfiles import (
 __all__ = ["ParaView"]
 
 
-class ParaView:
+class ParaView(Unchanged):
     """Time series of the material points, and of the background grid, for ParaView.
 
     `output/column.pvd` is the series of the points, and `output/column_grid.pvd` is the series of

@@ -33,7 +33,7 @@ from dolfinmpm._platform.argumentchecks import (
 )
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.uncopied import Unchanged
+from dolfinmpm._platform.uncopied import Unchanged, unchanged
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.terrain import Terrain
@@ -54,6 +54,7 @@ _LARGEST_K0 = 20.0
 _HEAVIEST = 20.0
 
 
+@unchanged()
 @dataclass(frozen=True)
 class Layer:
     """A layer of ground.

@@ -14,6 +14,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import Tags, is_endless, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.uncopied import unchanged
 from dolfinmpm.body.points import MaterialPoints, PointField
 
 __all__ = ["Fluid", "kozeny_carman", "refuse_hollow", "refuse_light"]
@@ -23,6 +24,7 @@ Permeability = Callable[[Any, Any], Expr]
 _UNIT_WEIGHTS = (9.8, 9.807, 9.81, 9800.0, 9807.0, 9810.0)
 
 
+@unchanged()
 @dataclass(frozen=True)
 class Fluid:
     """The fluid in the pores, water by default.

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.basis.refinement import Refinement
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.familyids import MERGES, SPLITS
@@ -27,6 +28,7 @@ Array = npt.NDArray[np.float64]
 _ALIKE = 0.02
 
 
+@unchanged(FOUND)
 @dataclass(frozen=True)
 class Adaptation:
     """What following the leaves has changed, on all ranks.

@@ -16,6 +16,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, raise_together
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.formchecks import check_form
@@ -39,6 +40,7 @@ from dolfinmpm.solve.step import Failed, Step, StepRecord
 __all__ = ["ArcLength", "ArcRecord"]
 
 
+@unchanged(FOUND)
 @dataclass
 class ArcRecord(StepRecord):
     """Report of one step along the path.

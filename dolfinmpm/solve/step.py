@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dolfinmpm._platform.html import listing
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.solve.bodyrecords import BodyRecords
 
 __all__ = ["Failed", "Step", "StepRecord"]
@@ -49,6 +50,7 @@ class Failed:
     remark: str = ""
 
 
+@unchanged(FOUND)
 @dataclass
 class StepRecord:
     """Report of one call of `step`.

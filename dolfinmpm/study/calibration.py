@@ -19,6 +19,7 @@ from dolfinmpm._platform.argumentchecks import (
     whole,
 )
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.study.derivatives import sizes_of
 from dolfinmpm.study.scenerun import Scene
 from dolfinmpm.study.weightedresiduals import WeightedResiduals
@@ -38,6 +39,7 @@ _NEAR, _SMALL = 0.05, 1e-3
 _HUGE = 1e200
 
 
+@unchanged(FOUND)
 @dataclass
 class Calibration:
     """Parameters that fit measurements best, and how well the measurements tell them.

@@ -20,6 +20,7 @@ from dolfinmpm._platform.argumentchecks import (
 )
 from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.branches import RunState
 from dolfinmpm.study.derivativenotes import (
@@ -51,6 +52,7 @@ _SECOND = 8.0
 _LEAST = 1e-12
 
 
+@unchanged(FOUND)
 @dataclass
 class Derivatives:
     """Figures of a run, and their derivatives by its parameters.

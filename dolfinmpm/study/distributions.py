@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_dictionary, number, shown
 from dolfinmpm._platform.errors import MissingPackageError, ParameterError
+from dolfinmpm._platform.uncopied import unchanged
 
 __all__ = ["LogNormal", "Normal", "checked", "openturns"]
 
@@ -44,6 +45,7 @@ def openturns() -> Any:
     return library
 
 
+@unchanged()
 @dataclass(frozen=True)
 class Normal:
     """A normal distribution of a parameter.
@@ -78,6 +80,7 @@ class Normal:
         return openturns().Normal(self.mean, self.deviation)
 
 
+@unchanged()
 @dataclass(frozen=True)
 class LogNormal:
     """A lognormal distribution of a parameter.

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.study.distributions import LogNormal, Normal, checked, openturns
 from dolfinmpm.study.limitstate import LimitState
 from dolfinmpm.study.scenerun import Scene
@@ -28,6 +29,7 @@ _UNCHANGED = (
 )
 
 
+@unchanged(FOUND)
 @dataclass
 class Reliability:
     """Reliability index, probability of failure, and importance of the inputs.

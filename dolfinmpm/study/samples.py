@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import (
     PointsOutsideGridError,
     raise_together,
 )
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.study.distributions import checked
 from dolfinmpm.study.scenerun import Run, built, last_value, take_steps
 
@@ -86,6 +87,7 @@ def _figure(scene: AnyScene, arguments: tuple[Any, ...], limit: str, unconverged
     return last_value(run, limit, arguments[0])
 
 
+@unchanged(FOUND)
 @dataclass
 class MonteCarlo:
     """A probability of failure from runs at random parameters.

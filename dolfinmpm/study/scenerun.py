@@ -20,6 +20,7 @@ from dolfinmpm._platform.argumentchecks import (
     truth,
 )
 from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
+from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.problem import Problem
 
@@ -33,7 +34,7 @@ _NO_STEPS = (str, bytes, Mapping, Set, np.ndarray)
 
 
 @dataclass
-class Run:
+class Run(Unchanged):
     """An example at given parameters, ready for its first step.
 
     Attributes:
@@ -61,6 +62,8 @@ class Run:
     >>> round(float(scene({"E": 1e6}).measured["stress"]()), 1)
     0.0
     """
+
+    _live = frozenset({"problem", "steps", "measured", "given"})
 
     problem: Problem | Sequence[Problem]
     steps: Iterable[Any]

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.uncopied import FOUND, unchanged
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -77,6 +78,7 @@ def come_to_rest(
     )
 
 
+@unchanged(FOUND)
 @dataclass(frozen=True)
 class Trial:
     """One trial of a strength reduction: a body with reduced strength under its load.
@@ -109,6 +111,7 @@ class Trial:
     iterations: int
 
 
+@unchanged(FOUND)
 @dataclass(frozen=True)
 class FactorOfSafety:
     """Result of a strength reduction.
