@@ -221,12 +221,11 @@ class Newton:
         step. So the operator has the increments of the solution after SNES has ended.
         """
         linear, contact = self.linear, self._in_contact(operator)
-        shortens = self._shortens(operator)
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
         now: Residual = Residual(np.empty(0), 0.0, 0.0)
         ahead: Residual | None = None  # at the end of the present step, if secants have found it
-        secants = _secants(operator) if shortens else None
+        secants = _secants(operator) if self._shortens(operator) else None
         spare, smallest, resolved = _SPARE * self.tolerance, 0.0, self._resolved(operator)
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
@@ -273,8 +272,8 @@ class Newton:
             return Reason.DIVERGED_LINE_SEARCH if given_up else reason
 
         snes = linear.snes
-        self._set_search(snes, SEARCHES[0] if shortens else self.search)
-        if shortens:
+        self._set_search(snes, self.search if secants is None else SEARCHES[0])
+        if secants is not None:
             snes.setLineSearchPreCheck(shorten)
         snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self.max_iterations)
         snes.setFunction(residual, linear.vector())
