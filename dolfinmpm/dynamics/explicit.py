@@ -198,7 +198,7 @@ class Explicit(MovingBody, Problem):
         self.balance = EnergyBalance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
-        sides = Sides(faces, points, self.bcs, options.get("prolongation"))
+        sides = Sides(faces, points, self.bcs, options.get("prolongation"), self.form)
         self.scheme.waves = sides.waves
         self._loop: CollisionSteps | FusedSteps | GeneralSteps
         if collision is not None:

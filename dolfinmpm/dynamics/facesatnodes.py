@@ -25,7 +25,7 @@ from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.cut.tiedsides import TiedSides
 from dolfinmpm.dynamics.groundcolumn import ColumnAtSide
 from dolfinmpm.dynamics.kinks import AT_SIDES, Kinks
-from dolfinmpm.dynamics.sideareas import CoveredSide, areas, at_independent, radii, refuse_light
+from dolfinmpm.dynamics.sideareas import CoveredSide, areas, at_independent, check_beyond, radii
 from dolfinmpm.grid.userfunctions import VelocityByTime
 from dolfinmpm.solve.step import Step
 
@@ -70,16 +70,18 @@ class Sides:
         points: Material points on which the faces act.
         conditions: Essential conditions of the problem.
         prolongation: The argument of the problem.
+        form: The compiled weak form of the problem.
 
     Raises:
         ParameterError: A condition constrains all nodes of a face in a direction of its damping.
             Or two faces are at one side. Or a column of ground has other heights than the body. Or
-            the ground beyond an absorbing side is far lighter than the body.
+            the ground beyond an absorbing side is far lighter than the body, or its waves are far
+            slower.
     """
 
     def __init__(
         self, faces: Sequence[Any], points: MaterialPoints, conditions: Sequence[Condition] = (),
-        prolongation: Any = None,
+        prolongation: Any = None, form: Any = None,
     ):  # fmt: skip
         for k, face in enumerate(faces):
             others = {other.kind for other in faces[:k] if face.same_as(other)}
@@ -90,7 +92,7 @@ class Sides:
                     "act: leave one out"
                 )
             _refuse_idle(face, conditions)
-        refuse_light(faces, points)
+        check_beyond(faces, points, () if form is None else form.parts.declarations)
         self._faces, self._points = list(faces), points
         self._tied = prolongation if isinstance(prolongation, TiedSides) else None
         self._box: Array = np.zeros((2, points.gdim))

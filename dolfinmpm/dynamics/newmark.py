@@ -109,7 +109,7 @@ class TimeStepping(MovingBody, QuasiStatic):
         refuse_constraints(faces, self.fields)
         if faces:
             refuse_field_tags(self.fields, "a face of the grid", "hold the sides with conditions")
-        sides = Sides(faces, points, self.bcs, options.get("prolongation"))
+        sides = Sides(faces, points, self.bcs, options.get("prolongation"), self.form)
         scheme.waves = sides.waves
         ledger = Ledger(points, self.form, self.bodies)
         scheme.motion = GridMotion(points, rule, chosen, terms, sides, ledger)

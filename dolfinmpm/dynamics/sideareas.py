@@ -26,7 +26,9 @@ from dolfinmpm.dynamics.groundcolumn import integrals_within
 if TYPE_CHECKING:
     from scipy import sparse
 
-__all__ = ["CoveredSide", "areas", "at_independent", "radii", "refuse_light"]
+    from dolfinmpm.forms.declarations import Declaration
+
+__all__ = ["CoveredSide", "areas", "at_independent", "check_beyond", "radii"]
 
 Array = npt.NDArray[np.float64]
 # Domains that turn and shear leave small gaps, and those of a mesh do not tile it. A cell with the
@@ -34,13 +36,28 @@ Array = npt.NDArray[np.float64]
 _FULL, _SOME = 0.95, 1e-6
 # Density beyond a side over that of the body: a unit weight in kN/m³ is a hundredth of a density
 _LIGHT = 0.05
+# Speeds of waves beyond a side over those of the body: km/s are a thousandth of m/s
+_SLOW = 0.05
 
 
-def refuse_light(faces: Sequence[Any], points: MaterialPoints) -> None:
-    """Raise ParameterError if ground beyond a side is far lighter than the body. Collective."""
+def check_beyond(
+    faces: Sequence[Any], points: MaterialPoints, declarations: Sequence[Declaration]
+) -> None:
+    """Raise ParameterError if ground beyond a side is far lighter or softer. Collective.
+
+    Args:
+        faces: The sides of the problem.
+        points: The material points.
+        declarations: Laws of the body; the slowest elastic waves of all points count.
+    """
     given = [face for face in faces if face.density is not None]
-    if not given:
-        return
+    if given:
+        _refuse_light(given, points)
+        _refuse_slow(given, points, declarations)
+
+
+def _refuse_light(given: Sequence[Any], points: MaterialPoints) -> None:
+    """Raise ParameterError if ground beyond a side is far lighter than the body. Collective."""
     sums = np.array([points["density"] @ points["V0"], points["V0"].sum()])
     points.comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
     mean = float(sums[0] / sums[1])
@@ -51,6 +68,29 @@ def refuse_light(faces: Sequence[Any], points: MaterialPoints) -> None:
                 f"'{face.where}' is less than a twentieth of the {mean:.4g} kg/m³ of the body: "
                 "give a density in kg/m³, not a unit weight in kN/m³"
             )
+
+
+def _refuse_slow(
+    given: Sequence[Any], points: MaterialPoints, declarations: Sequence[Declaration]
+) -> None:
+    """Raise ParameterError if waves beyond a side are far slower than in the body. Collective."""
+    least = np.full(2, np.inf)
+    for declaration in declarations:
+        moduli, rho = declaration.elastic.moduli(), points["density"][declaration.rows]
+        if len(rho):
+            speeds = np.sqrt(np.maximum(moduli, 0.0) / rho[:, None])
+            least = np.minimum(least, speeds.min(axis=0))
+    points.comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
+    for face in given:
+        for name, rate, own in zip(("p_speed", "s_speed"), face.impedance, least):
+            speed = rate / face.density
+            if 0.0 < speed < _SLOW * own < np.inf:
+                raise ParameterError(
+                    f"{name} = {speed:g} m/s of the ground beyond the absorbing side "
+                    f"'{face.where}' is less than a twentieth of the {own:.4g} m/s of such waves "
+                    "in the body: give it in m/s, not in km/s; in elastic ground it is √(M/ρ) for "
+                    "p_speed and √(G/ρ) for s_speed"
+                )
 
 
 @numba.njit(cache=True, error_model="numpy")

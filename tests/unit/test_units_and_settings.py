@@ -19,13 +19,13 @@ TIMES = np.linspace(0, 1, 101)
 WAVE = mpm.InputMotion(TIMES, velocity=0.1 * np.sin(np.pi * TIMES) ** 2)
 
 
-def shaken(tied=True, **rock):
+def shaken(tied=True, waves=True, **rock):
     """A column of ground on rock, through which a wave comes in."""
     grid = mpm.create_lattice(COMM, [np.arange(5.0), np.arange(8.0)])
     points = mpm.fill(grid, mpm.Box((1, 0), (2, 6)), 2, 1800.0)
     V = mpm.Space(grid, "gimp")
     F = mpm.momentum(SOIL, points, V.increment, V.test)
-    sides = mpm.absorbing(V, "bottom", **{**ROCK, **rock}, incoming=(WAVE, None))
+    sides = mpm.absorbing(V, "bottom", **{**ROCK, **rock}, incoming=(WAVE, None) if waves else None)
     options = {"prolongation": mpm.tied(V, period=1.0)} if tied else {}
     return mpm.Newmark(F, V.increment, points, sides, ghost_mass=1e-3, **options)
 
@@ -35,6 +35,21 @@ def test_a_unit_weight_for_the_density_of_the_rock():
         ParameterError, match=r"less than a twentieth of the 1800 kg/m³ of the body"
     ):
         shaken(density=22.0)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "told"),
+    [
+        ({"p_speed": 1.5, "s_speed": 0.8}, r"p_speed = 1\.5 m/s .* 'bottom' .* of the 377 m/s"),
+        ({"s_speed": 0.8}, r"s_speed = 0\.8 m/s .*less than a twentieth of the 201\.5 m/s"),
+    ],
+)
+def test_speeds_of_the_rock_in_kilometres_per_second(speeds, told):
+    with pytest.raises(ParameterError, match=told):
+        shaken(**speeds)
+    # 1/16 of those of the body, and no dashpots along the side
+    shaken(p_speed=24.0, s_speed=13.0)
+    shaken(p_speed=24.0, s_speed=0.0, waves=False)
 
 
 def test_a_column_of_ground_with_free_sides():
