@@ -270,6 +270,13 @@ class CamClay(PressureElastic):
     }
     internal = {"preconsolidation_pressure": ("Pa", "preconsolidation")}
     kernel = _cam_clay
+    _without_strength = (
+        "has no strength to divide. Give its undrained strength in the present state to "
+        "mpm.materials.Tresca(E, nu, cohesion=...), one value for each point, in a problem of a "
+        "body of its own under the same total stress: in plane strain M/√3 p (pc/(2 p))^(1 − "
+        "swelling/compression), with the effective pressure p and the points' "
+        "preconsolidation_pressure pc. The how-to on factors of safety has the lines"
+    )
 
     def __init__(
         self,

@@ -27,6 +27,14 @@ def reduced_angle(angle: npt.ArrayLike, factor: float) -> Array:
     return np.asarray(np.degrees(np.arctan(np.tan(np.radians(angle)) / factor)), np.float64)
 
 
+# Why a law has no strength to divide, and what to do; a law may say it better
+_WITHOUT = (
+    "does not tell what its strength is: name the parameters to be divided, as strengths = "
+    '("cohesion",), and friction_angles, in the law\'s class; or give factor_of_safety a function '
+    "of the factor that builds the body anew"
+)
+
+
 def weakened(law: Law, parameters: Array, factor: float) -> Array:
     """A law's parameters with its strength divided by a factor.
 
@@ -46,11 +54,7 @@ def weakened(law: Law, parameters: Array, factor: float) -> Array:
             each other.
     """
     if law.strengths is None:
-        raise ParameterError(
-            f"{type(law).__name__} does not tell what its strength is: name the parameters to be "
-            'divided, as strengths = ("cohesion",), and friction_angles, in the law\'s class; or '
-            "give factor_of_safety a function of the factor that builds the body anew"
-        )
+        raise ParameterError(f"{type(law).__name__} {getattr(law, '_without_strength', _WITHOUT)}")
     names = list(law.parameters)
     unknown = [name for name in (*law.strengths, *law.friction_angles) if name not in names]
     if unknown:
