@@ -234,19 +234,20 @@ class Refinement:
         return self.leaves
 
     def _warn_of_idle(self) -> None:
-        """Warn of sizes that are nowhere below those of the cells of the grid. Collective.
+        """Warn of sizes that are larger than the cells of the grid everywhere. Collective.
 
-        Sizes that a function leaves infinite everywhere may become finite later.
+        Sizes equal to those of the cells are meant, as by scripts that go through sizes. Those that
+        a function leaves infinite everywhere may become finite later.
         """
         comm, tree = self._grid.comm, Tree.roots(self.lattice, self.levels)
         low, high = tree.corners(np.arange(len(tree.low)))
         edge = np.prod(high - low, axis=1) ** (1 / low.shape[1])
-        below = edge * (1 - relative_rounding(self.lattice.lines, 2.0**-self.levels))
+        largest = edge * (1 + relative_rounding(self.lattice.lines, 2.0**-self.levels))
         for one in self.sizes:
             size: Array = np.full(len(low), getattr(one, "least", np.inf))
             if not hasattr(one, "least"):
                 size = call_together(comm, partial(_sizes_of, one, low, high))
-            found = np.array([size.min(), -float((size < below).any())])
+            found = np.array([size.min(), -float((size <= largest).any())])
             comm.Allreduce(MPI.IN_PLACE, found, op=MPI.MIN)
             if np.isfinite(found[0]) and not found[1]:
                 told = getattr(one, "told", type(one).__name__)

@@ -39,7 +39,7 @@ def near(size):
     ("refine", "least"),
     [
         (near(200.0), "200 m near a body refines nothing.* is 200 m"),
-        (near(1.0), "1 m near a body"),
+        (near(1.01), "1.01 m near a body"),
         (lambda points: mpm.where_it_yields(points, 50.0), "50 m where plastic_strain"),
         (
             lambda points: lambda x: np.where(x[0] < 2, 25.0, np.inf),
@@ -57,6 +57,9 @@ def test_sizes_that_are_too_large_are_told_once(refine, least):
     "refine",
     [
         near(0.5),
+        # all cells have this size
+        near(1.0),
+        lambda points: lambda x: np.ones(x.shape[1]),
         lambda points: lambda x: np.where(x[0] < 2, 0.5, np.inf),
         # nothing yields yet, and nothing is wanted yet
         lambda points: mpm.where_it_yields(points, 0.5),
