@@ -3,7 +3,8 @@
 Each marker belongs to the nearest material point. A point's face is at the mean of its markers, and
 has the sum of their areas. At an edge of the body, a point keeps the face with most of its markers.
 The others go to the nearest point whose face has about their normal. So faces lie on the sides of
-the body, and the sum of their areas is that of the boundary.
+the body, and the sum of their areas is that of the boundary. A point has one face. Where a body is
+as thin as one point, the faces of its two sides would cancel.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.boundary import Boundary
-from dolfinmpm.body.markerstate import keys_of, nearest
+from dolfinmpm.body.markerstate import keys_of, leave_with_removed, nearest
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.lattice import largest_cell
 
 __all__ = ["faces_of"]
 
@@ -28,6 +30,9 @@ Rows = npt.NDArray[np.intp]
 _ALIKE = 0.7
 # Points among which a marker at an edge looks for a face
 _BESIDE = 16
+# Least sum of a point's markers, as a share of the sum of their sizes: 0.71 at a right angle that
+# stays with one point, 0 at a sheet with two opposite sides
+_LEFT = 0.5
 
 
 class _Markers(NamedTuple):
@@ -55,12 +60,13 @@ def faces_of(boundary: Boundary) -> tuple[Array, Array]:
         gdim); zeros at points without a face.
 
     Raises:
-        ParameterError: The boundary is a wall, or the body has moved.
+        ParameterError: The boundary is a wall, the body has moved, or it is as thin as one point.
     """
     points, error = boundary.points, None
     if not boundary.follows:
         error = ParameterError(
-            f"'{boundary.name}' is a wall, and no surface of the body: make it with follows=True"
+            f"'{boundary.name}' is a wall, and no surface of the body: make a boundary of the body "
+            "by mpm.Boundary.from_polygon(points, corners), with follows=True"
         )
     elif points.comm.allreduce(not np.array_equal(points["x"], points["x0"]), op=MPI.LOR):
         error = ParameterError(
@@ -68,6 +74,8 @@ def faces_of(boundary: Boundary) -> tuple[Array, Array]:
             "make it before the first step"
         )
     raise_together(points.comm, error)
+    # points that were removed before the first step have taken their markers along
+    leave_with_removed(boundary)
     here = boundary.present()
     sent = (points.comm.allgather(boundary.markers[name][here]) for name in ("x", "area"))
     x, area = (np.concatenate(parts) for parts in sent)
@@ -78,14 +86,42 @@ def faces_of(boundary: Boundary) -> tuple[Array, Array]:
     strange[at] = np.sum(markers.normal[at] * main[rows], axis=1) < _ALIKE
     points.comm.Allreduce(MPI.IN_PLACE, strange, op=MPI.LOR)
     others = np.flatnonzero(strange)
-    again, theirs = _owned(points, *_with_like_normal(points, markers, main, others))
-    # where no face has such a normal, a marker stays
+    # further than a cell away, there is no body at the marker
+    reach = largest_cell(points.grid)
+    again, theirs = _owned(points, *_with_like_normal(points, markers, main, others, reach))
+    # where no face near has such a normal, a marker stays
     moved = np.zeros(len(x), bool)
     moved[others[again]] = True
     points.comm.Allreduce(MPI.IN_PLACE, moved, op=MPI.LOR)
     stays = ~moved[at]
     at, rows = np.append(at[stays], others[again]), np.append(rows[stays], theirs)
-    return _sums(points, markers, at, rows)
+    offset, area = _sums(points, markers, at, rows)
+    whole = np.bincount(rows, _sizes(markers.area[at]), len(points))
+    _check_thickness(boundary, np.asarray(whole, np.float64), area)
+    return offset, area
+
+
+def _sizes(area: Array) -> Array:
+    return np.asarray(np.linalg.norm(area, axis=1))
+
+
+def _check_thickness(boundary: Boundary, whole: Array, area: Array) -> None:
+    """Raise ParameterError where the markers of a point cancel. Collective.
+
+    Args:
+        boundary: The boundary.
+        whole: Sums of the sizes of each point's markers (m^(d-1)), shape (points,).
+        area: Sums of their area vectors (m^(d-1)), shape (points, gdim).
+    """
+    points, error = boundary.points, None
+    thin = np.flatnonzero(_sizes(area) < _LEFT * whole)
+    if thin.size:
+        error = ParameterError(
+            f"two sides of '{boundary.name}' share the point at {points['x'][thin[0]]} m, and a "
+            "point has one face: put at least two points over the thickness of the body, by "
+            "per_cell= or smaller cells, or make one boundary for each side that touches"
+        )
+    raise_together(points.comm, error)
 
 
 def _owned(points: MaterialPoints, distance: Array, key: Array, rows: Rows) -> tuple[Rows, Rows]:
@@ -125,7 +161,7 @@ def _main_normals(markers: _Markers, at: Rows, rows: Rows, count: int) -> Array:
 
 
 def _with_like_normal(
-    points: MaterialPoints, markers: _Markers, main: Array, others: Rows
+    points: MaterialPoints, markers: _Markers, main: Array, others: Rows, reach: float
 ) -> tuple[Array, Array, Rows]:
     """Nearest points of this rank whose faces have about the normals of markers; see `nearest`.
 
@@ -134,6 +170,7 @@ def _with_like_normal(
         markers: The markers.
         main: Normals of the points' faces, shape (points, gdim).
         others: Numbers of the markers, shape (n,).
+        reach: Largest distance of such a point (m).
     """
     from scipy.spatial import cKDTree
 
@@ -145,7 +182,8 @@ def _with_like_normal(
     far, found = cKDTree(points["x"][faces]).query(markers.x[others], count)
     far, found = far.reshape(others.size, count), faces[found.reshape(others.size, count)]
     along = np.einsum("nki,ni->nk", main[found], markers.normal[others])
-    far = np.where(along >= _ALIKE, far, np.inf)
+    near = (along >= _ALIKE) & (far <= reach)
+    far = np.where(near, far, np.inf)
     best, every = np.argmin(far, axis=1), np.arange(others.size)
     rows = found[every, best]
     return far[every, best], keys_of(points["x0"])[rows], rows
@@ -159,7 +197,7 @@ def _sums(points: MaterialPoints, markers: _Markers, at: Rows, rows: Rows) -> tu
         markers: The markers.
         at, rows: Markers of this rank's points, and these points.
     """
-    size = np.linalg.norm(markers.area[at], axis=1)
+    size = _sizes(markers.area[at])
     whole = np.bincount(rows, size, len(points))
     on = whole > 0.0
     offset, area = np.zeros((2, len(points), points.gdim))

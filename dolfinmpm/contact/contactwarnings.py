@@ -1,9 +1,11 @@
-"""Warnings before the first step of a contact with a rigid body."""
+"""Warnings of a contact with a rigid body, before its first step and after each step."""
 
 from __future__ import annotations
 
 import itertools
 import math
+import weakref
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from dolfinmpm.contact.surfaces import HalfSpace
 if TYPE_CHECKING:
     from dolfinmpm.contact.rigidcontact import RigidContact
 
-__all__ = ["warn_at_start"]
+__all__ = ["warn_at_start", "warn_of_bare_points"]
 
 Array = npt.NDArray[np.float64]
 
@@ -36,6 +38,8 @@ _AWAY = 0.25
 _FAR = 30.0
 # Part of a width that is rounding
 _ROUNDING = 1e-9
+# Contacts whose points within the body have been told
+_told: weakref.WeakSet[RigidContact] = weakref.WeakSet()
 
 
 def warn_at_start(active: Any) -> None:
@@ -48,6 +52,50 @@ def warn_at_start(active: Any) -> None:
     _warn_of_distance(active.contact)
     _warn_of_size(active.contact)
     _warn_of_overlap(active)
+
+
+def warn_of_bare_points(contact: RigidContact, contacts: Sequence[RigidContact]) -> None:
+    """Warn once where points without a face of the contact's surface are in the body. Collective.
+
+    Nothing pushes them out: soil that flows brings points to the body which had no face at first.
+
+    Args:
+        contact: The contact.
+        contacts: All contacts of the form.
+    """
+    if contact.surface is None or contact in _told:
+        return
+    points, body = contact.points, contact.body
+    bare = _chosen(contact)
+    for one in contacts:
+        if one.body is body and one.points is points:
+            touches = _chosen(one)
+            if one.surface is not None:
+                touches &= points[one.surface.area.name].any(axis=1)
+            bare &= ~touches
+    half = points["l"].max(axis=1)
+    at = body.pose.back(points["x"])
+    bare &= np.all((at > body.surface.low) & (at < body.surface.high), axis=1)
+    rows = np.flatnonzero(bare)
+    gap = body.surface.probe(at[rows])[0]
+    deep = gap < -half[rows]
+    largest = points.comm.allreduce(float(-gap[deep].min(initial=0.0)), op=MPI.MAX)
+    count = points.comm.allreduce(int(deep.sum()), op=MPI.SUM)
+    if count:
+        _told.add(contact)
+        warn(
+            points.comm,
+            f"{count} points without a face of '{contact.surface.name}' are within '{body.name}', "
+            f"by up to {largest:.3g} m, and nothing pushes them out, because faces of the surface "
+            "alone touch. Leave out surface= where soil flows, or give a surface along all that "
+            "touches",
+            OverlapWarning,
+        )
+
+
+def _chosen(contact: RigidContact) -> npt.NDArray[np.bool_]:
+    """Points with the tags of a contact, shape (points,)."""
+    return np.ones(len(contact.points), bool) if contact.tags is None else contact.chosen()
 
 
 def _warn_of_overlap(active: Any) -> None:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 from dolfinmpm.contact.bodyinertia import accelerate
+from dolfinmpm.contact.contactwarnings import warn_of_bare_points
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.contact.tunnelling import limit_of, too_far
@@ -272,7 +273,9 @@ class RigidBodies:
         return before + sum(works)
 
     def record(self) -> dict[str, dict[str, list[float]]]:
-        """Name of a body → its part of the record of a step."""
+        """Name of a body → its part of the record of a step. Collective."""
+        for contact in self.contacts:
+            warn_of_bare_points(contact, self.contacts)
         return {body.name: body.record() for body in self.all}
 
     def acting(self, operator: Any) -> list[ActiveRigidContact]:

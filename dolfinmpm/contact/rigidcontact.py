@@ -116,7 +116,17 @@ class RigidContact(Term):
         return self.body.loads
 
     def start_in_time(self, means: MeanForceWeights | None) -> None:
-        """See `Term`."""
+        """See `Term`.
+
+        Raises:
+            FormError: Explicit steps are given a bound of the penetration.
+        """
+        if means is None and self.law.penetration is not None:
+            # without balance to find again, multipliers would add up from step to step
+            raise FormError(
+                f"{self!r} has penetration = {self.law.penetration:g} m, and explicit steps find "
+                "no balance that could bound it: leave it out, and give a larger penalty="
+            )
         self.mean_weights, self.in_time = means, True
 
     def __repr__(self) -> str:

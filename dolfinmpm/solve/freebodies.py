@@ -196,7 +196,7 @@ class FreeBodies:
                 share = max(_SMALL, _ROUNDING / self.tolerance)
                 least = share * np.abs(M) @ np.abs(known)
             d = body.gdim
-            scale = np.ones(size)
+            scale: Array = np.ones(size)
             for part in (slice(0, d), slice(d, size)):
                 sizes = [np.abs(v[part]).max() for v in (touching, external, inertia, least)]
                 scale[part] = max(sizes)
@@ -205,8 +205,12 @@ class FreeBodies:
             scale[d:] = max(scale[d:].max(), scale[:d].max() * reach)
             # a body that only turns has no force
             least_force = max(_SMALL, _ROUNDING / self.tolerance) * scale[d:].max() / reach
-            scale[:d] = max(scale[:d].max(), least_force, 1e-300)
-            scale[d:] = np.maximum(scale[d:], 1e-300)
+            scale[:d] = max(scale[:d].max(), least_force)
+            if self.inertial is not None:
+                # forces that move it by rounding are rounding: nothing may act on a body at rest
+                moved = _ROUNDING / self.tolerance * np.where(np.arange(size) < d, reach, 1.0)
+                scale = np.maximum(scale, moved * np.abs(np.diag(slope)))
+            scale = np.maximum(scale, 1e-300)
             sizes_of.append(scale[own])
             gaps.append((out / scale)[own])
             columns.append(-by_x / scale[own])

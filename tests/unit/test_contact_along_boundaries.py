@@ -1,5 +1,7 @@
 """Contact of a boundary of the body: faces that do not follow the grid begin without a pressure."""
 
+import warnings
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -180,3 +182,87 @@ def test_wrong_boundaries():
     points["x"] = points["x"] + 0.01
     with pytest.raises(mpm.errors.ParameterError, match="before the first step"):
         faces_of(edge)
+
+
+def sheet(per_cell):
+    """A level sheet that is one cell thick, and its corners."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.arange(11.0), np.arange(4.0)])
+    corners = np.array([(1.2, 1.0), (8.8, 1.0), (8.8, 2.0), (1.2, 2.0)])
+    return mpm.fill(grid, mpm.Polygon(corners), per_cell, 2000.0, exact=True), corners
+
+
+def test_sheets_of_one_point_have_no_two_faces():
+    """The faces of both sides cancelled: two plates pressed the sheet without a force."""
+    points, corners = sheet(1)
+    edge = mpm.Boundary.from_polygon(points, corners, name="skin")
+    with pytest.raises(mpm.errors.ParameterError, match="two sides of 'skin' share the point"):
+        mpm.Surface.from_boundary(edge)
+    for side in (corners[:2], corners[2:]):
+        chain = mpm.Boundary.from_polygon(points, side, closed=False)
+        assert mpm.Surface.from_boundary(chain).total_area == pytest.approx(7.6)
+    points, corners = sheet(2)
+    edge = mpm.Boundary.from_polygon(points, corners)
+    assert mpm.Surface.from_boundary(edge).total_area == pytest.approx(17.2)
+
+
+def test_markers_go_with_points_removed_before_the_first_step():
+    """Their area had gone to points 0.28 m away."""
+    points, corners = square(0, exact=True)
+    edge = mpm.Boundary.from_polygon(points, corners)
+    points.remove(points["x"][:, 1] > 0.25)
+    surface = mpm.Surface.from_boundary(edge, name="skin")
+    assert surface.total_area == pytest.approx(4.0 - 1.5)
+    assert np.abs(points["skin_offset"]).max() < 1 / 16
+
+
+def test_points_without_a_face_that_enter_a_body_are_told():
+    """A chain along a part of the face alone touches: the other points go through the plate."""
+    for count in (1, 2):
+        points, corners = square(0, exact=True)
+        V = mpm.Space(points.grid, "gimp")
+        u, v = V.increment, V.test
+        plate = mpm.RigidBody(mpm.Plane((0, 0.5), (0, -1)), increment=(0.0, -0.1), name="plate")
+        F = mpm.momentum(mpm.materials.Hencky(E, 0.0), points, u, v)
+        middle = (0.0, 0.5)
+        for part in ((corners[2], middle), (middle, corners[3]))[:count]:
+            chain = mpm.Boundary.from_polygon(points, part, closed=False)
+            F += mpm.contact(plate, points, u, v, penalty=PENALTY, surface=chain)
+        bcs = mpm.fixed(V, lambda x: x[1] < -0.3)
+        problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            for _ in range(2):
+                problem.step()
+        # once, and not of points that touch with the other surface
+        found = [w for w in told if "points without a face of" in str(w.message)]
+        assert [w.category for w in found] == [mpm.errors.OverlapWarning] * (count == 1)
+
+
+def test_explicit_steps_bound_no_penetration():
+    """The multipliers had added up from step to step, until an InstabilityError."""
+    points, _ = square(30)
+    V = mpm.Space(points.grid, "gimp")
+    u, v = V.increment, V.test
+    plate = mpm.RigidBody(mpm.Plane((0, 1), (0, -1)), name="plate")
+    F = mpm.momentum(mpm.materials.Hencky(E, 0.3), points, u, v)
+    F += mpm.contact(plate, points, u, v, penetration=1e-4)
+    with pytest.raises(mpm.errors.FormError, match="give a larger penalty="):
+        mpm.Explicit(F, u, points, [])
+
+
+def test_a_free_body_may_wait_for_an_impact():
+    """Nothing acted on it, and its own equations divided by zero: Newmark's steps had failed."""
+    points, _ = square(0)
+    V = mpm.Space(points.grid, "gimp")
+    u, v = V.increment, V.test
+    block = mpm.RigidBody(mpm.Box((-1.1, -1.0), (1.1, -0.6)), mass=1e3, inertia=500.0)
+    F = mpm.momentum(mpm.materials.Hencky(E, 0.3), points, u, v)
+    F += mpm.contact(block, points, u, v)
+    problem = mpm.Newmark(F, u, points, [])
+    points["velocity"] = np.tile((0.0, -1.0), (len(points), 1))
+    for k in range(16):
+        problem.step(0.01 * (k + 1))
+    m = points["density"] * points["V0"]
+    assert m @ points["velocity"][:, 1] > -0.9 * m.sum()
+    total = m @ points["velocity"] + 1000.0 * block.free_motion.velocity[:2]
+    np.testing.assert_allclose(total, (0.0, -m.sum()), atol=1e-6 * m.sum())
