@@ -364,6 +364,11 @@ def contact(
     if corners is None:
         corners = "domains" if surface is None else "material"
     corners = choice("corners", corners, ("domains", "material"))
+    if surface is not None and surface.normal is None and corners == "domains":
+        raise ParameterError(
+            f"corners = 'domains' would do nothing: faces of '{surface.name}' follow the material, "
+            "for they are not those of domains; leave it out"
+        )
     tags = as_tags(tag)
     if tags is None:
         # corners of points outside the field of u would not move

@@ -179,6 +179,9 @@ def test_wrong_boundaries():
     with pytest.raises(mpm.errors.ParameterError, match="or give a Boundary"):
         mpm.contact(plate, points, u, v, surface=corners)
     edge = mpm.Boundary.from_polygon(points, corners)
+    with pytest.raises(mpm.errors.ParameterError, match="corners = 'domains' would do nothing"):
+        mpm.contact(plate, points, u, v, surface=edge, corners="domains")
+    edge = mpm.Boundary.from_polygon(points, corners)
     points["x"] = points["x"] + 0.01
     with pytest.raises(mpm.errors.ParameterError, match="before the first step"):
         faces_of(edge)
