@@ -1,4 +1,4 @@
-"""Objects that hold a grid, ranks and compiled code: they cannot be copied, or changed by hand."""
+"""Classes whose objects cannot be copied, and classes whose attributes scripts cannot set."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.boundary import Boundary
-from dolfinmpm.body.markerstate import keys_of, leave_with_removed, nearest
+from dolfinmpm.body.markerstate import keys_of, leave_with_removed, nearest, nearest_of_all
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.lattice import largest_cell
 
@@ -80,7 +80,8 @@ def faces_of(boundary: Boundary) -> tuple[Array, Array]:
     sent = (points.comm.allgather(boundary.markers[name][here]) for name in ("x", "area"))
     x, area = (np.concatenate(parts) for parts in sent)
     markers = _Markers(x, area, area / np.linalg.norm(area, axis=1)[:, None])
-    at, rows = _owned(points, *nearest(points["x"], keys_of(points["x0"]), markers.x))
+    found = nearest(points["x"], keys_of(points["x0"]), markers.x)
+    at, rows = nearest_of_all(points.comm, *found)
     main = _main_normals(markers, at, rows, len(points))
     strange = np.zeros(len(x), bool)
     strange[at] = np.sum(markers.normal[at] * main[rows], axis=1) < _ALIKE
@@ -88,7 +89,8 @@ def faces_of(boundary: Boundary) -> tuple[Array, Array]:
     others = np.flatnonzero(strange)
     # further than a cell away, there is no body at the marker
     reach = largest_cell(points.grid)
-    again, theirs = _owned(points, *_with_like_normal(points, markers, main, others, reach))
+    found = _with_like_normal(points, markers, main, others, reach)
+    again, theirs = nearest_of_all(points.comm, *found)
     # where no face near has such a normal, a marker stays
     moved = np.zeros(len(x), bool)
     moved[others[again]] = True
@@ -122,23 +124,6 @@ def _check_thickness(boundary: Boundary, whole: Array, area: Array) -> None:
             "per_cell= or smaller cells, or make one boundary for each side that touches"
         )
     raise_together(points.comm, error)
-
-
-def _owned(points: MaterialPoints, distance: Array, key: Array, rows: Rows) -> tuple[Rows, Rows]:
-    """Markers whose nearest point is on this rank, and these points. Collective.
-
-    Args:
-        points: Material points.
-        distance, key, rows: Nearest point of this rank to each marker, see `nearest`.
-    """
-    comm, least = points.comm, np.empty_like(distance)
-    comm.Allreduce(distance, least, op=MPI.MIN)
-    # points that are equally near on two ranks
-    key = np.where(distance <= least * (1 + 1e-7), key, np.inf)
-    first = np.empty_like(key)
-    comm.Allreduce(key, first, op=MPI.MIN)
-    mine = np.flatnonzero((key == first) & np.isfinite(distance))
-    return mine, rows[mine]
 
 
 def _main_normals(markers: _Markers, at: Rows, rows: Rows, count: int) -> Array:

@@ -17,7 +17,7 @@ from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.markerdistance import APART
 
-__all__ = ["keys_of", "leave_with_removed", "nearest", "take_state"]
+__all__ = ["keys_of", "leave_with_removed", "nearest", "nearest_of_all", "take_state"]
 
 Array = npt.NDArray[np.float64]
 
@@ -122,6 +122,23 @@ def nearest(x: Array, key: Array, at: Array, half: Array | None = None):
     return least, keys[every, best], rows[every, best]
 
 
+def nearest_of_all(
+    comm: MPI.Comm, distance: Array, key: Array, rows: npt.NDArray[np.intp]
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Positions whose nearest place on all ranks is one of this rank, and these places. Collective.
+
+    Args:
+        comm: The ranks.
+        distance, key, rows: Nearest place of this rank to each position, see `nearest`.
+    """
+    least, first = np.empty_like(distance), np.empty_like(key)
+    comm.Allreduce(distance, least, op=MPI.MIN)
+    key = np.where(distance <= least * (1 + _SAME), key, np.inf)
+    comm.Allreduce(key, first, op=MPI.MIN)
+    mine = np.flatnonzero((key == first) & np.isfinite(key) & np.isfinite(distance))
+    return mine, rows[mine]
+
+
 def keys_of(x0: Array) -> Array:
     """Keys of places by first positions (m): numbers of points depend on the ranks."""
     return np.asarray(x0 @ _WEIGHTS[: x0.shape[1]], np.float64)
@@ -147,15 +164,8 @@ def _from_all(
     points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
     counts = comm.allgather(len(markers))
     at = np.concatenate(comm.allgather(markers[x]))
-    distance, key, rows = _nearest(boundary, at, tags, x)
-    least = np.empty_like(distance)
-    comm.Allreduce(distance, least, op=MPI.MIN)
-    key[distance > least * (1 + _SAME)] = np.inf
-    first = np.empty_like(key)
-    comm.Allreduce(key, first, op=MPI.MIN)
-    mine = np.flatnonzero((key == first) & np.isfinite(key))
+    mine, rows = nearest_of_all(comm, *_nearest(boundary, at, tags, x))
     to = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[mine]
-    rows = rows[mine]
     sent: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
     found = exchange(comm, {**sent, "of marker": mine}, to)
     order = np.argsort(found.pop("of marker"))

@@ -116,7 +116,7 @@ class Surface(Settled):
         if lattice_of(points.grid) is None:
             raise UnsupportedGridError(
                 "points have domains with faces along the axes on rectangular grids only; give "
-                "offsets and areas of faces by Surface.from_arrays"
+                "the faces by Surface.from_boundary or Surface.from_arrays"
             )
         offset = points["l0"] * n
         faces = points["x0"] + offset

@@ -41,7 +41,7 @@ def axis_of(normal: Any, gdim: int) -> Array:
     if n.shape != (gdim,) or not np.array_equal(np.sort(np.abs(n)), [0.0] * (gdim - 1) + [1.0]):
         raise ParameterError(
             f"normal = {shown(normal)} must be an axis of {gdim}D with a sign, such as "
-            f"{(0,) * (gdim - 1) + (1,)}; give other faces by Surface.from_arrays"
+            f"{(0,) * (gdim - 1) + (1,)}; give other faces by Surface.from_boundary"
         )
     return n
 
