@@ -13,15 +13,17 @@ from mpi4py import MPI
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.contact.bodymotion import moments
-from dolfinmpm.contact.contactlaw import FREE, SLIPS, contact_forces, explicit_reduction, slip_work
+from dolfinmpm.contact.contactlaw import FREE, SLIPS, slip_work
 from dolfinmpm.contact.contactpairs import TOUCHES
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
 from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.contactwarnings import warn_at_start
+from dolfinmpm.contact.cornerforces import add_forces_at_end, add_mean_forces
 from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, Rows, Which
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
-from dolfinmpm.contact.heldcorners import HeldCorners, growth_of, overlap_of
-from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces, normal_energy, slip_energy
+from dolfinmpm.contact.followedgaps import FollowedGaps
+from dolfinmpm.contact.heldcorners import HeldCorners, growth_of
+from dolfinmpm.contact.meanforces import MeanForceWeights, normal_energy, slip_energy
 from dolfinmpm.contact.sharedsurface import areas_at_end, areas_at_start, domains_at_start
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.tunnelling import (
@@ -65,11 +67,15 @@ class ActiveRigidContact(ActiveContact):
             (m, gdim).
         start: State of the corners at the start of the step.
         now: Forces on the corners.
+        explicit: Whether forces act as explicit steps need them.
         held: Overlap of corners that a fixed side of the grid holds, or None.
+        followed: Gaps that are followed from step to step, or None.
     """
 
     pushes = True
     held: HeldCorners | None = None
+    followed: FollowedGaps | None = None
+    explicit: bool
     corners: Corners
 
     def __init__(
@@ -85,13 +91,12 @@ class ActiveRigidContact(ActiveContact):
             self.candidates,
             lambda x: self._near_corners(x, distance),
             lambda: contact.body.start.directions(self._probe[1]),
+            self._on_faces,
         )
-        if self.layout.on_faces:
-            self._near_corners(c.x, math.inf)
         self.x: Array = c.x.copy()
         self.now = ContactForces.zero(*c.x.shape)
         self.start = self._at_start(displacement.growth is not None)
-        self._explicit = mean_weights is None and displacement.growth is not None
+        self.explicit = mean_weights is None and displacement.growth is not None
         if contact.body.time == 0.0 and not contact.begun:
             warn_at_start(self)
 
@@ -112,6 +117,33 @@ class ActiveRigidContact(ActiveContact):
         gap, normal, curvature = self._probe
         self._probe = gap[near], normal[near], curvature[near]
         return near
+
+    def _on_faces(self, rows: Rows, which: Rows, x: Array) -> Array | None:
+        """Probe the surface at parts of faces, and tell how much they move with their domains.
+
+        Args:
+            rows, which: Points of the corners, and numbers of the corners there, shape (m,).
+            x: Middles of the parts (m), shape (m, gdim).
+
+        Returns:
+            The shares of `FollowedGaps`, shape (m,), or None if gaps are not followed.
+        """
+        self._near_corners(x, math.inf)
+        if not self.contact.follows:
+            return None
+        self.followed = FollowedGaps.of(self.contact, rows, which, self._probe[0])
+        self._probe = self.followed.gaps(self._probe, ALL)
+        return self.followed.share
+
+    def _probed(self, c: Rows, at: Array) -> Probe:
+        """Values of the surface at some corners, with their gaps.
+
+        Args:
+            c: The corners.
+            at: Positions of all corners in the frame of the body (m), shape (m, gdim).
+        """
+        probe = self.contact.body.surface.probe(at[c])
+        return probe if self.followed is None else self.followed.gaps(probe, c)
 
     def _at_start(self, in_time: bool) -> ContactStart:
         """State of the corners at the start of the step."""
@@ -177,8 +209,9 @@ class ActiveRigidContact(ActiveContact):
             rounding = TOUCHES * self.layout.reach(self.corners.rows)
             clinging = self.start.normal_force > 0.0
             meets = (self.start.gap < rounding) & ~clinging
-        c = np.flatnonzero(near | clinging | meets | (self.start.multiplier > 0.0))
-        probe = self.contact.body.surface.probe(at[c])
+        near |= clinging | meets | (self.start.multiplier > 0.0)
+        c = np.flatnonzero(near if self.followed is None else near | self.followed.apart)
+        probe = self._probed(c, at)
         if self.held is not None:
             self.held.update(pose.forth(self.local_start) - self.corners.x)
         if meets.any():
@@ -224,58 +257,18 @@ class ActiveRigidContact(ActiveContact):
             clinging: Which of all corners cling to the body even outside it, shape (m,).
             closing: Closing of the gaps in a step (m), shape (c,).
         """
-        now, start, law = self.now, self.start, self.contact.law
-        now.clear()
-        if self.mean_weights is not None:
-            self._compute_means(c, at, probe)
+        self.now.clear()
+        if self.mean_weights is None:
+            if c.size:
+                add_forces_at_end(self, c, at, probe, clinging, closing)
             return
-        if not c.size:
-            return
-        k, overlap = start.stiffness[c], overlap_of(self.held, c)
-        found = [np.empty((c.size, *own.shape[1:])) for own in now.by_law]
-        state = np.empty(c.size, np.int8)
-        contact_forces(
-            *probe, at[c], self.local_start[c], start.tangential[c],
-            start.multiplier[c] - k * overlap, k, law.slip_share * k, law.friction, start.limit[c],
-            start.water[c], clinging[c], *found, state,
-        )  # fmt: skip
-        for own, values in zip(now.by_law, found):
-            own[c] = values
-        now.gap[c], now.states[c] = probe[0] + overlap, state
-        if self._explicit:
-            found[0] -= explicit_reduction(now.gap[c], closing, found[2])[:, None] * probe[1]
-            now.closed[c] = closing
-        now.forces[c] = self.contact.body.pose.directions(found[0])
-
-    def _compute_means(self, c: Rows, at: Array, probe: Probe) -> None:
-        """Compute mean forces over the step; see `_compute`."""
-        now, start, law, body = self.now, self.start, self.contact.law, self.contact.body
-        had_friction = np.any(start.tangential != 0.0, axis=1)
+        had_friction = np.any(self.start.tangential != 0.0, axis=1)
         if had_friction.any():
             c = np.union1d(c, np.flatnonzero(had_friction))
-            probe = body.surface.probe(at[c])
-        now.loss[:] = 0.0
-        if not c.size:
-            return
-        k, path = start.stiffness[c], at[c] - self.local_start[c]
-        middle = body.surface.probe(self.local_start[c] + 0.5 * path)[1:]
-        found = [np.empty((c.size, *own.shape[1:])) for own in now.by_law]
-        loss, state = np.empty(c.size), np.empty(c.size, np.int8)
-        overlap = overlap_of(self.held, c)
-        mean_forces(
-            start.gap[c], *probe[:2], *middle, path, start.tangential[c],
-            start.multiplier[c] - k * overlap, k, law.slip_share * k, law.friction, start.limit[c],
-            start.water[c], *found, loss, state,
-        )  # fmt: skip
-        if self.held is not None:
-            loss += self.held.loss_in_mean(c, start)
-        for own, values in zip(now.by_law, found):
-            own[c] = values
-        now.gap[c], now.states[c], now.loss[c] = probe[0] + overlap, state, loss
-        # the frame of the body in the middle of its rotation
-        U, _, Vt = np.linalg.svd(0.5 * (body.start.rotation + body.pose.rotation))
-        self._middle_rotation = U @ Vt
-        now.forces[c] = found[0] @ self._middle_rotation.T
+            probe = self._probed(c, at)
+        self.now.loss[:] = 0.0
+        if c.size:
+            self._middle_rotation = add_mean_forces(self, c, at, probe)
 
     def internal(self, out: Sequence[Array]) -> bool:
         """See `ActiveTerm`: last computed forces, which resist, −f (N)."""
@@ -342,6 +335,7 @@ class ActiveRigidContact(ActiveContact):
             (names.normal_force, now.normal),
             (names.stiffness, np.where(now.normal > 0.0, self.start.stiffness, 0.0)),
             (names.closing, now.closed),
+            *(self.followed.at_end(names, now.gap, self.held) if self.followed else ()),
             *([(names.slip_area, areas_at_end(self))] if shared else ()),
             *(self.held.at_end(names, now) if self.held else ()),
         ]

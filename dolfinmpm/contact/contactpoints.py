@@ -29,6 +29,8 @@ class CornerFields(NamedTuple):
         stiffness: Stiffness of touching corners (N/m).
         closing: Closing of the gaps of the corners in the last step (m).
         overlap: Overlap of the corners that fixed nodes leave (m), see `HeldCorners`.
+        gap: Gaps of the corners at the end of the last step (m), see
+            `dolfinmpm.contact.followedgaps`; 0 if the corner was far away.
         slip_area: Areas of touching corners for a limit of the shear stress (m^(d-1)), see
             `dolfinmpm.contact.sharedsurface`. Only with such a limit.
     """
@@ -39,6 +41,7 @@ class CornerFields(NamedTuple):
     stiffness: str
     closing: str
     overlap: str
+    gap: str
     slip_area: str
 
 

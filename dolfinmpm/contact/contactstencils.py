@@ -17,7 +17,7 @@ import scipy
 
 from dolfinmpm.assembly.stencilsums import Entries
 
-__all__ = ["ContactStencils", "add_tangent", "growth_by_gradient"]
+__all__ = ["ContactStencils", "add_tangent", "growth_by_gradient", "mixed"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int32]
@@ -102,6 +102,34 @@ def growth_by_gradient(F: Array, l0: Array, growth: str) -> Array:
     weight = 2.0 / (stretch[:, :, None] + stretch[:, None, :])
     T = np.einsum("pia,pib,pab,pja,pkb->pijk", Q, Q, weight, G, G, optimize=True)
     return np.asarray(l0[:, :, None, None] * T)
+
+
+def mixed(
+    values: scipy.sparse.csr_matrix, blocks: scipy.sparse.bsr_matrix,
+    rows: npt.NDArray[np.integer], share: Array,
+) -> scipy.sparse.bsr_matrix:  # fmt: skip
+    """Stencils that are (1 − w) N + w W in some rows, with both entries of a node, and else N.
+
+    Args:
+        values: N, shape (m, nodes).
+        blocks: W, shape (rows d, nodes d).
+        rows: The rows of W, increasing.
+        share: w, shape (m,), zero in other rows.
+    """
+    d, m = blocks.data.shape[1], values.shape[0]
+    number, more = np.diff(values.indptr), np.diff(blocks.indptr)
+    own = np.repeat(1.0 - share, number) * values.data
+    data = np.concatenate([
+        own[:, None, None] * np.eye(d), np.repeat(share[rows], more)[:, None, None] * blocks.data
+    ])  # fmt: skip
+    # two entries of a node in a row add up wherever the matrix is used
+    row = np.concatenate([np.repeat(np.arange(m), number), np.repeat(rows, more)])
+    order = np.argsort(row, kind="stable")
+    number[rows] += more
+    start = np.concatenate([[0], np.cumsum(number)])
+    columns = np.concatenate([values.indices, blocks.indices])
+    shape = d * m, d * values.shape[1]
+    return scipy.sparse.bsr_matrix((data[order], columns[order], start), shape=shape)
 
 
 def add_tangent(

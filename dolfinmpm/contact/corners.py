@@ -38,7 +38,7 @@ from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.familyids import side_signs
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradient
+from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradient, mixed
 from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_parts
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 
@@ -103,7 +103,8 @@ class CornerLayout:
         # whether corners use the functions at their positions, and whether domains give positions
         placed = not (self._by_middle or displacement.total) and displacement.basis.averaged
         self.boxes = placed and not material
-        self.on_faces = placed and displacement.growth is None
+        by_face = displacement.growth is None or (displacement.followed and not material)
+        self.on_faces = placed and by_face
         # corners of material that shears without bound move away from its volume
         own = surface is None and not (
             material or displacement.total or displacement.basis.averaged
@@ -198,8 +199,9 @@ class CornerLayout:
         return np.asarray(np.einsum("pij,pi->pj", self._F[rows], normal))
 
     def corners(
-        self, rows: Rows, kept: Callable[[Array], Which], normals: Callable[[], Array]
-    ) -> Corners:
+        self, rows: Rows, kept: Callable[[Array], Which], normals: Callable[[], Array],
+        follow: Callable[[Rows, Rows, Array], Array | None],
+    ) -> Corners:  # fmt: skip
         """The corners of some points.
 
         Args:
@@ -207,6 +209,8 @@ class CornerLayout:
             kept: Function from positions of corners to the corners to keep, increasing.
             normals: Function that returns the normals of the rigid surface at the kept corners,
                 shape (m, gdim).
+            follow: Function of points, numbers and positions of the corners on faces: shares by
+                which they move with their domains, see `dolfinmpm.contact.followedgaps`, or None.
         """
         points = self._points
         which = np.tile(self.which, rows.size)
@@ -221,6 +225,9 @@ class CornerLayout:
         M: Any
         if self.on_faces:
             x, M = self._on_faces(each, which, normals())
+            share = follow(each, which, x)
+            if share is not None and share.any():
+                M = self._with_domains(M, each, x, share)
         elif self.boxes:
             M = self._matrix_of_growth(each, how)
         else:
@@ -324,29 +331,46 @@ class CornerLayout:
         N, *dN = self._stencils(each)[2:]
         data = N.data.copy() if value else np.zeros_like(N.data)
         for k, part in enumerate(dN):
-            data += np.repeat(along[:, k], np.diff(N.indptr)) * part.data
+            data += np.repeat(along[:, k], np.diff(N.indptr)) * part
         return self._prolonged(N, data)
 
-    def _matrix_of_growth(self, each: Rows, signs: Array) -> scipy.sparse.bsr_matrix:
-        """Stencils of corners of domains that grow with their points' gradients."""
+    def _matrix_of_growth(self, each: Rows, at: Array) -> scipy.sparse.bsr_matrix:
+        """Stencils of places in domains that grow with their points' gradients.
+
+        Args:
+            each: Point of each place, shape (m,).
+            at: Offset of each place from its point, by half-lengths of the domain, shape (m, gdim).
+        """
         d, points, growth = self._points.gdim, self._points, self._displacement.growth
         assert growth is not None
         rows, own, N, *dN = self._stencils(each)
         T = growth_by_gradient(self._F[rows], points["l0"][rows], growth)
-        T = signs[:, :, None, None] * T[own]
+        T = at[:, :, None, None] * T[own]
         length = np.diff(N.indptr)
         W = N.data[:, None, None] * np.eye(d)
         for k, part in enumerate(dN):
-            W += np.repeat(T[:, :, :, k], length, axis=0) * part.data[:, None, None]
+            W += np.repeat(T[:, :, :, k], length, axis=0) * part[:, None, None]
         return self._prolonged(N, W)
 
+    def _with_domains(
+        self, M: scipy.sparse.csr_matrix, each: Rows, x: Array, share: Array
+    ) -> scipy.sparse.bsr_matrix:
+        """Stencils of parts of faces at x that move with the domains by a share, shape (m,)."""
+        points, moved = self._points, np.flatnonzero(share)
+        rows = each[moved]
+        at = (x[moved] - points["x"][rows]) / points["l"][rows]
+        return mixed(M, self._matrix_of_growth(rows, at), moved, share)
+
     def _stencils(self, each: Rows) -> list[Any]:
-        """The distinct points, the point of each corner, and N and ∂N/∂x_k in one pattern."""
+        """The distinct points, the point of each corner, N, and ∂N/∂x_k as its data."""
         rows, own = np.unique(each, return_inverse=True)
         s = self._displacement.stencils(rows)
         shape = rows.size, self._displacement.basis.nodes.size
-        values = [s.N, *s.dN.T]
-        return [rows, own, *(stencil_matrix(s, v, shape)[own] for v in values)]
+        # numbers of the entries, so that one matrix serves value and gradient
+        N = stencil_matrix(s, np.arange(s.N.size, dtype=np.float64), shape)[own]
+        entry = N.data.astype(np.intp)
+        N.data = s.N[entry]
+        return [rows, own, N, *s.dN[entry].T]
 
     def _prolonged(self, N: scipy.sparse.csr_matrix, data: Array) -> Any:
         """A matrix of N's pattern on the independent nodes, with numbers or blocks."""

@@ -30,6 +30,8 @@ class DisplacementBasis:
             numbering.
         growth: Growth of domains, in steps in time, where corners move with the states of their
             points. None where corners move with the functions at the corners.
+        followed: Whether corners in steps in time move with their faces, and their gaps are
+            followed, see `dolfinmpm.contact.followedgaps`.
         domains: Growth of domains in other steps.
     """
 
@@ -39,6 +41,7 @@ class DisplacementBasis:
     stencils: Callable[[Rows], Stencils]
     place: npt.NDArray[np.int32] | None = None
     growth: str | None = None
+    followed: bool = False
     domains: str = "stretch"
 
     @property
@@ -47,14 +50,16 @@ class DisplacementBasis:
         return self.basis.nodes.size if self.C is None else self.C.shape[1]
 
     @staticmethod
-    def of(field: ActiveField, total: bool, count: int, in_time: bool = False) -> DisplacementBasis:
+    def of(
+        field: ActiveField, total: bool, count: int, follows: bool | None = None
+    ) -> DisplacementBasis:
         """The basis functions of an active field.
 
         Args:
             field: The field.
             total: See the attribute.
             count: Number of material points.
-            in_time: Whether steps are in time.
+            follows: Whether gaps are followed in steps in time; None in other steps.
         """
 
         def stencils(rows: Rows) -> Stencils:
@@ -64,5 +69,7 @@ class DisplacementBasis:
             return replace(s, order=np.searchsorted(rows, s.order).astype(np.int32))
 
         rule = field.space.domains
-        growth = rule if in_time else None
-        return DisplacementBasis(field.basis, total, field.C, stencils, growth=growth, domains=rule)
+        growth = None if follows is None else rule
+        return DisplacementBasis(
+            field.basis, total, field.C, stencils, None, growth, bool(follows), rule
+        )

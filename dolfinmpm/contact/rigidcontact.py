@@ -60,7 +60,7 @@ class RigidContact(Term):
         names: Names of the points' fields with the state of the contact.
         dissipated: Work dissipated by friction (J), on all ranks.
         mean_weights: Weights of mean forces over a step in its balance; None for forces at the end.
-        in_time: Whether steps have inertia.
+        follows: Whether gaps are followed in time, see `followedgaps`; None in other steps.
         limit: Largest motion of the body at once (m).
         begun: Whether the overlap before the first step has been looked at.
     """
@@ -70,14 +70,13 @@ class RigidContact(Term):
         material: bool, tags: Tags, law: ContactLaw, wet: bool = False,
     ):  # fmt: skip
         self.body, self.points, self.u = body, points, u
-        self.surface, self.material, self.tags, self.law = surface, material, tags, law
-        self._cell: float | None = None
-        self.wet = wet
+        self.surface, self.material, self.tags = surface, material, tags
+        self.law, self.wet, self._cell = law, wet, None
         first = f"contact{self._number()}"
         self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
-        self.dissipated = 0.0
         self.mean_weights: MeanForceWeights | None = None
-        self.in_time, self.limit, self.begun = False, math.inf, False
+        self.follows: bool | None = None
+        self.dissipated, self.limit, self.begun = 0.0, math.inf, False
 
     def _number(self) -> int:
         """Number of the contact: the next one, or that of the same contact in an earlier form.
@@ -127,7 +126,7 @@ class RigidContact(Term):
                 f"{self!r} has penetration = {self.law.penetration:g} m, and explicit steps find "
                 "no balance that could bound it: leave it out, and give a larger penalty="
             )
-        self.mean_weights, self.in_time = means, True
+        self.mean_weights, self.follows = means, True
 
     def __repr__(self) -> str:
         return f"the contact with '{self.body.name}'"
@@ -150,6 +149,7 @@ class RigidContact(Term):
         points.add_field(names.stiffness, (count,), "N/m")
         points.add_field(names.closing, (count,), "m")
         points.add_field(names.overlap, (count,), "m")
+        points.add_field(names.gap, (count,), "m")
         if self.shares_surface:
             points.add_field(names.slip_area, (count,), "m^(d-1)")
         cell = self.u._dolfinmpm_space.finest_cell
@@ -198,7 +198,7 @@ class RigidContact(Term):
         """See `Term`. Collective."""
         k = next(k for k, f in enumerate(here.fields) if f.space.increment is self.u)
         field, count = here.fields[k], len(self.points)
-        displacement = DisplacementBasis.of(field, here.total, count, self.in_time)
+        displacement = DisplacementBasis.of(field, here.total, count, self.follows)
         active = ActiveRigidContact(self, displacement, k, mean_weights=self.mean_weights)
         nodes, d = active.corners.stencils.nodes, self.points.gdim
         held = held_components(

@@ -211,10 +211,11 @@ class RigidContacts:
             self._exchange = window.exchange(self._points.gdim)
             self._sums = np.zeros((len(window.nodes), self._points.gdim))
             place = window.place.astype(np.int32)
-            growth = self._near[0].contact.u._dolfinmpm_space.domains
+            one = self._near[0].contact
             self._displacement = DisplacementBasis(
-                window.basis, False, None, self._stencils, place, growth
-            )
+                window.basis, False, None, self._stencils, place, one.u._dolfinmpm_space.domains,
+                bool(one.follows),
+            )  # fmt: skip
         points = self._points
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
         for near in self._near:
