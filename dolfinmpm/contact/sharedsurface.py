@@ -139,8 +139,11 @@ def areas_at_end(active: Any) -> Array:
     gap, normal, _ = contact.body.surface.probe(pose.back(x))
     normal = pose.directions(normal)
     edges, sides = active.start.domains
+    places = x - gap[:, None] * normal
+    if active.followed is not None:
+        gap = gap + active.followed.beyond[c]
     middles, parts = active.layout.surface_parts(rows, which, normal, gap, edges[c])
-    places = x - gap[:, None] * normal + middles
+    places = places + middles
     touching = TouchingCorners(places, normal, parts, sides[c], forces[c])
     area[c] = shared_areas(touching, points)
     return area

@@ -23,7 +23,7 @@ STEPS_IN_TIME = mpm.Newmark, mpm.GeneralisedAlpha
 # all begin a little above a block whose top is at y = 0.8; its cells are of 0.1 m
 SHAPES = {
     "disc": lambda: mpm.Disc((1.0, 0.96), 0.15),
-    "small disc": lambda: mpm.Disc((1.0, 0.83), 0.02),
+    "small disc": lambda: mpm.Disc((1.0125, 0.83), 0.02),
     "blade": lambda: mpm.Box((0.8, 0.81), (1.2, 0.815)),
 }
 TOO_FAR = "moves .* at once, more than"

@@ -19,7 +19,7 @@ from derivative_scenes import errors_of, grid_of, history_of, motion_of
 IMPACT = {"vx": 0.5, "gap": 0.005}
 
 
-def impact(m, steps=4, dt=0.004):
+def impact(m, steps=4, dt=0.004, penalty=5.0):
     """A free rigid disc falls on an elastic block, which it meets in the second step."""
     grid = grid_of((3.0, 2.0), (12, 8))
     points = mpm.fill(grid, mpm.Box((0.8, 0.3), (2.2, 0.9)), 2, 1000.0)
@@ -30,7 +30,7 @@ def impact(m, steps=4, dt=0.004):
         velocity=(m["vx"], -1.0), name="ball",
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(2e6, 0.3), points, u, v)
-    F += mpm.contact(ball, points, u, v, penalty=5.0)
+    F += mpm.contact(ball, points, u, v, penalty=penalty)
     problem = mpm.Newmark(F, u, points, [], stabilisation="ghost", tolerance=1e-10)
     moves = [partial(problem.step, dt * (k + 1)) for k in range(steps)]
     measured = {"position": lambda: ball.position, "motion": motion_of(points)}
@@ -38,10 +38,16 @@ def impact(m, steps=4, dt=0.004):
 
 
 def test_a_body_in_free_flight_whose_inertia_is_a_sum_of_rounding():
+
+    def scene(m):
+        run = impact(IMPACT | m)
+        # without friction the points hardly depend on this velocity
+        return study.Run(run.problem, run.steps, {"position": run.measured["position"]})
+
     for options in ({}, {"epsilon": 1e-5}, {"scales": {"vx": 20.0}}):
-        found = study.differentiate(lambda m: impact(IMPACT | m), {"vx": 0.5}, **options)
+        found = study.differentiate(scene, {"vx": 0.5}, **options)
         assert not found.notes
-        errors = errors_of(lambda m: impact(IMPACT | m), {"vx": 0.5}, found)
+        errors = errors_of(scene, {"vx": 0.5}, found)
         assert max(errors.values()) < 1e-5
         # before the contact the disc moves with its first velocity
         at = found.derivatives["position"]["vx"][0] / found.scales["vx"]
@@ -50,18 +56,19 @@ def test_a_body_in_free_flight_whose_inertia_is_a_sum_of_rounding():
 
 @pytest.mark.long
 def test_a_contact_that_just_touches_has_no_mirror_image():
-    """At larger gaps the disc does not touch in the second step."""
+    """At larger gaps the disc does not touch a second point in the third step."""
 
     def scene(m):
-        return impact(IMPACT | m, steps=5)
+        # soft, so that the disc presses one point when it meets the next one
+        return impact(IMPACT | m, steps=6, penalty=0.2)
 
     def touches(gap):
         run = scene({"gap": gap})
-        for step in run.steps[:2]:
+        for step in run.steps[:3]:
             step()
-        return bool((run.problem.points["contact1_normal_force"] > 0.0).any())
+        return int((run.problem.points["contact1_normal_force"] > 0.0).sum()) >= 2
 
-    low, high = 0.006, 0.007
+    low, high = 0.005, 0.0055
     for _ in range(24):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if touches(middle) else (low, middle)
@@ -70,7 +77,7 @@ def test_a_contact_that_just_touches_has_no_mirror_image():
     for options in ({}, {"central": True}):
         found = study.differentiate(scene, {"gap": low}, scales={"gap": 0.01}, **options)
         assert len(found.notes) == 1
-        assert "gap, step 2: 2 contact points begin or end to touch" in found.notes[0]
+        assert "gap, step 3: 1 contact point" in found.notes[0]
         derivative = found.derivatives["position"]["gap"][:, 1] / 0.01
         np.testing.assert_allclose(derivative, (at - near) / h, atol=2e-3)
 

@@ -86,7 +86,7 @@ def test_a_wedge_is_dragged_through_clay():
 def test_a_limit_of_the_shear_stress_acts_on_the_same_areas():
     """Fused steps have changed the domains of the points when they find these areas."""
     limit = 500.0
-    problem = alike(is_ploughed, 0.08, limit=limit)
+    problem = alike(is_ploughed, 0.1, limit=limit)
     (contact,) = problem.bodies.contacts
     points, names = problem.points, contact.names
     force = np.linalg.norm(points[names.tangential_force], axis=-1)
