@@ -20,7 +20,7 @@ from dolfinmpm.basis.linear import LinearBasis
 from dolfinmpm.basis.stencils import Placement, Stencils, running_sum
 from dolfinmpm.grid.linecells import FAR
 
-__all__ = ["at_faces", "in_domains"]
+__all__ = ["at_ends", "at_faces", "in_domains"]
 
 Array = npt.NDArray[np.float64]
 # Part of a half-length that is rounding
@@ -118,6 +118,20 @@ def _cut(at: Array, half: Array, low: Array, high: Array) -> tuple[Array, Array]
     cut = np.any((at - half < low) | (at + half > high), axis=1)[:, None]
     part = np.where(last - first > FAR * np.abs(first), 0.5 * (last - first), 0.0)
     return np.where(cut, 0.5 * (first + last), at), np.where(cut, part, half)
+
+
+def at_ends(
+    basis: LatticeBasis | LeafBasis, x: Array, half: Array, reach: Array
+) -> tuple[Stencils, Array]:
+    """Stencils at the ends of domains towards faces, and the ways from there to the faces (m).
+
+    Args:
+        basis: A basis of averages.
+        x, half: Positions and half-lengths of the domains (m), shape (n, gdim).
+        reach: Offsets to the faces (m), shape (n, gdim).
+    """
+    to, part = _ends(x, half, reach)
+    return in_domains(basis, *_on_grid(basis, to, part), x, half), x + reach - to
 
 
 def _on_grid(basis: LatticeBasis | LeafBasis, at: Array, half: Array) -> tuple[Array, Array]:

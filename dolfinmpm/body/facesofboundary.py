@@ -183,11 +183,32 @@ def _sums(points: MaterialPoints, markers: _Markers, at: Rows, rows: Rows) -> tu
         at, rows: Markers of this rank's points, and these points.
     """
     size = _sizes(markers.area[at])
-    whole = np.bincount(rows, size, len(points))
-    on = whole > 0.0
+    on = np.bincount(rows, size, len(points)) > 0.0
     offset, area = np.zeros((2, len(points), points.gdim))
     for k in range(points.gdim):
         area[:, k] = np.bincount(rows, markers.area[at, k], len(points))
-        middle = np.bincount(rows, size * markers.x[at, k], len(points))
-        offset[on, k] = middle[on] / whole[on] - points["x"][on, k]
+    middle = _middles(markers.x[at], size, rows, len(points))
+    if points.axisymmetric:
+        # The area grows with the radius. Along the face the middle is that of the section, as of a
+        # `Surface` along an axis: so a uniform load balances a uniform stress, whose volumes are
+        # 2π r times areas of sections. Across it the mean over the area has the mean gap.
+        normal = np.divide(area, _sizes(area)[:, None], out=np.zeros_like(area), where=on[:, None])
+        section = _middles(markers.x[at], size / markers.x[at, 0], rows, len(points))
+        across = np.sum((middle - section) * normal, axis=1)
+        middle = section + across[:, None] * normal
+    offset[on] = middle[on] - points["x"][on]
     return offset, area
+
+
+def _middles(x: Array, weight: Array, rows: Rows, count: int) -> Array:
+    """Means of the positions of each point's markers (m), shape (count, d); zero without markers.
+
+    Args:
+        x: Positions (m), shape (n, d).
+        weight: Weights, shape (n,).
+        rows: Point of each marker, shape (n,).
+        count: Number of points.
+    """
+    sums = np.array([np.bincount(rows, weight * column, count) for column in x.T]).T
+    whole = np.bincount(rows, weight, count)[:, None]
+    return np.divide(sums, whole, out=np.zeros_like(sums), where=whole > 0.0)

@@ -16,7 +16,8 @@ a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In steps
 moves with its point's new state, see `dolfinmpm.contact.contactstencils`.
 
 If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
-touches with its middle.
+touches with its middle, whose functions are those of a load on this face, so that it is in balance
+with a uniform stress, too.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import numpy.typing as npt
 import scipy
 
 from dolfinmpm.basis import LatticeBasis, LinearBasis
-from dolfinmpm.basis.facestencils import in_domains
+from dolfinmpm.basis.facestencils import at_ends, in_domains
 from dolfinmpm.basis.gimp import update_domains
 from dolfinmpm.basis.stencils import stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
@@ -101,10 +102,13 @@ class CornerLayout:
         self._F: Array = in_section(points, points["F"])
         self._by_middle = surface is not None and surface.normal is None
         # whether corners use the functions at their positions, and whether domains give positions
-        placed = not (self._by_middle or displacement.total) and displacement.basis.averaged
+        averaged = displacement.basis.averaged and not displacement.total
+        placed, static = averaged and not self._by_middle, displacement.growth is None
         self.boxes = placed and not material
-        by_face = displacement.growth is None or (displacement.followed and not material)
+        by_face = static or (displacement.followed and not material)
         self.on_faces = placed and by_face
+        # whether middles of faces take the functions at the ends of domains
+        self._by_ends = averaged and self._by_middle and (static or displacement.followed)
         # corners of material that shears without bound move away from its volume
         own = surface is None and not (
             material or displacement.total or displacement.basis.averaged
@@ -230,6 +234,8 @@ class CornerLayout:
                 M = self._with_domains(M, each, x, share)
         elif self.boxes:
             M = self._matrix_of_growth(each, how)
+        elif self._by_ends:
+            M = self._at_ends(each, how)
         else:
             M = self._matrix_by_gradient(each, how)
         stencils = ContactStencils.of(M, self._displacement.columns)
@@ -275,6 +281,25 @@ class CornerLayout:
         if np.any(np.abs(rest) > _ROUNDING * half):
             M = M + self._matrix_by_gradient(each, rest, value=False)
         return x + r, M
+
+    def _at_ends(self, each: Rows, reach: Array) -> scipy.sparse.csr_matrix:
+        """Functions at the middles of marked faces, those that `Surface.dX` has for loads.
+
+        Value and gradient at the point are in balance with a uniform stress only while its domain
+        lies in one cell, see `dolfinmpm.basis.facestencils`.
+
+        Args:
+            each: Point of each face, shape (m,).
+            reach: Offset of each face from its point (m), shape (m, gdim).
+        """
+        points, basis, C = self._points, self._displacement.basis, self._displacement.C
+        assert not isinstance(basis, LinearBasis), "linear functions have no averages"
+        s, rest = at_ends(basis, points["x"][each], points["l"][each], reach)
+        M = stencil_matrix(s, s.N, (len(each), basis.nodes.size))
+        M = M if C is None else scipy.sparse.csr_matrix(M @ C)
+        if np.any(np.abs(rest) > _ROUNDING * points["l"][each]):
+            M = M + self._matrix_by_gradient(each, rest, value=False)
+        return M
 
     def _in_cells(
         self, basis: LatticeBasis, each: Rows, which: Rows, r: Array, within: Array

@@ -60,6 +60,30 @@ def test_a_turned_block_between_two_plates(basis, angle):
     np.testing.assert_allclose(bottom.force, -top.force, atol=1e-6 * exact)
 
 
+@pytest.mark.parametrize("axisymmetric", [False, True])
+@pytest.mark.parametrize(("basis", "levels"), [("gimp", 0), ("gimp", 1), ("bspline2", 0)])
+def test_a_face_that_passes_a_grid_line_leaves_the_stress_uniform(basis, levels, axisymmetric):
+    """Value and gradient at the points had stresses beside the plate that were off by 32 %."""
+    h, top, way = 0.25, 1.1, 0.1
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [h * np.arange(7)] * 2)
+    refined = {"refine": lambda x: np.full(x.shape[1], h / 2), "levels": 1} if levels else {}
+    V = mpm.Space(grid, basis, **refined)
+    box = mpm.Box((0, 0), (1, top))
+    leaves = {"refine": V} if levels else {}
+    points = mpm.fill(grid, box, 2, 2000.0, axisymmetric=axisymmetric, **leaves)
+    u, v = V.increment, V.test
+    face = mpm.Boundary.from_polygon(points, [(1, top), (0, top)], closed=False, spacing=h / 4)
+    plate = mpm.RigidBody(mpm.Plane((0, top), (0, -1)), increment=(0.0, -way / 8), name="plate")
+    F = mpm.momentum(mpm.materials.Hencky(E, 0.0), points, u, v)
+    F += mpm.contact(plate, points, u, v, penalty=PENALTY, surface=face)
+    problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "bottom"), stabilisation="ghost")
+    area = np.pi if axisymmetric else 1.0
+    for _ in range(8):
+        problem.step()
+        pressure = -plate.force[1] / area
+        np.testing.assert_allclose(points["stress"][:, 1, 1], pressure, rtol=1e-5)
+
+
 @pytest.mark.parametrize("kind", ["lattice", "triangle"])
 def test_faces_lie_on_the_sides(kind):
     """Faces fill the boundary, and each has one of its normals, also beside a corner."""
@@ -101,9 +125,9 @@ def test_a_block_at_rest_has_no_pressure():
 
 
 def test_a_ball_between_two_plates():
-    """Axisymmetric: F = 4/3 E* √R δ^1.5 (Hertz); corners of domains: +35 % in these cells."""
-    R, nu, motion, h = 1.0, 0.3, 0.01, 1 / 8
-    lines = [h * np.arange(13), h * np.arange(-12, 13)]
+    """Axisymmetric: F = 4/3 E* √R δ^1.5 (Hertz); corners of domains: +20 % in these cells."""
+    R, nu, motion, h = 1.0, 0.3, 0.01, 1 / 16
+    lines = [h * np.arange(20), h * np.arange(-19, 20)]
     grid = mpm.create_lattice(MPI.COMM_WORLD, lines)
     ball = mpm.Disc((0, 0.01), R) & mpm.Box((0, -1.2), (1.2, 1.2))
     points = mpm.fill(grid, ball, 2, 2000.0, axisymmetric=True, exact=True)
@@ -122,7 +146,7 @@ def test_a_ball_between_two_plates():
     for _ in range(2):
         assert problem.step().iterations <= 8
     exact = 4 / 3 * E / (1 - nu**2) * np.sqrt(R) * motion**1.5
-    assert plates[0].force[1] == pytest.approx(exact, rel=0.1)
+    assert plates[0].force[1] == pytest.approx(exact, rel=0.07)
 
 
 def test_oblique_faces_stay_in_their_plane_where_points_split():
