@@ -37,11 +37,13 @@ class Border(Protocol):
         tolerance: Bound of the equations' errors, each divided by the size of its equation.
         unmet: Message if forces balance and these equations are not satisfied.
         sizes: By what the last `gap` has divided the equations, shape (m,).
+        acting: Norm of forces that act on the unknowns, besides external forces and reactions (N).
     """
 
     tolerance: float
     unmet: str
     sizes: Array
+    acting: float
 
     @property
     def conjugate(self) -> bool:
@@ -141,7 +143,8 @@ class Bordered:
         while True:
             gap, by_x, by_y = border.gap(x)
             # the number of the iteration is at least 1: the residual of a guess is no reference
-            reason = balance.test(found.norm, found.reference, len(balance.residuals) + 1)
+            reference = max(found.reference, border.acting)
+            reason = balance.test(found.norm, reference, len(balance.residuals) + 1)
             if reason == Reason.CONVERGED_FNORM_RELATIVE:
                 if np.all(np.abs(gap) <= border.tolerance):
                     return None

@@ -67,7 +67,7 @@ class FreeBodies:
 
     Attributes:
         inertial: Accelerations by increments, or None in quasi-static steps.
-        conjugate, settled, tolerance, unmet, sizes: See `Border`.
+        conjugate, settled, tolerance, unmet, sizes, acting: See `Border`.
     """
 
     unmet = "the forces on a free rigid body were not balanced"
@@ -78,6 +78,7 @@ class FreeBodies:
         self._all, self._bodies = bodies, bodies.free
         self.inertial: Inertial | None = None
         self.sizes: Array = np.empty(0)
+        self.acting = 0.0
 
     def begin(self, operator: Operator) -> None:
         """See `Border`. Collective."""
@@ -157,11 +158,26 @@ class FreeBodies:
             found.append(total)
         return np.hstack(found)
 
+    def _norm_of_contact(self) -> float:
+        """Norm of the forces of the bodies at the unknowns (N), as last found. Collective.
+
+        They bring the bodies' loads to the points, and are no external forces of the operator.
+        """
+        unknowns = self._operator.here.unknowns
+        forces = unknowns.nodal()
+        for body in self._bodies:
+            for contact in self._contacts(body):
+                contact.internal(forces.arrays)
+        forces.add_up()
+        found = unknowns.entries(forces.arrays)
+        return float(np.sqrt(unknowns.comm.allreduce(float(found @ found), op=MPI.SUM)))
+
     def gap(self, x: Array) -> tuple[Array, Array, Array]:
         """See `Border`. Collective."""
         gaps, columns, blocks, sizes_of = [], [], [], []
         weight = 1.0 if self.inertial is None else self.inertial.weight
         comm = self._operator.here.unknowns.comm
+        self.acting = self._norm_of_contact()
         for body in self._bodies:
             free = body.free_motion
             size, own = free.increment.size, free.free

@@ -41,7 +41,7 @@ class PathBorder:
         travelled: Controlled displacement since the first step (m).
         speed: Root mean square displacement per load factor so far (m), or infinity before any. It
             bounds the estimate of the displacements in the first step.
-        conjugate, tolerance, unmet, sizes: See `Border`.
+        conjugate, tolerance, unmet, sizes, acting: See `Border`.
 
     Raises:
         FormError: The load factor multiplies a term of the grid with the increment, or the control
@@ -55,6 +55,8 @@ class PathBorder:
     conjugate = False
     # the length by which the equation is divided does not change in a step
     sizes = np.asarray([1.0])
+    # the load is one of the external forces
+    acting = 0.0
 
     def __init__(
         self,

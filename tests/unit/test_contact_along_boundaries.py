@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
@@ -293,3 +294,24 @@ def test_a_free_body_may_wait_for_an_impact():
     assert m @ points["velocity"][:, 1] > -0.9 * m.sum()
     total = m @ points["velocity"] + 1000.0 * block.free_motion.velocity[:2]
     np.testing.assert_allclose(total, (0.0, -m.sum()), atol=1e-6 * m.sum())
+
+
+@pytest.mark.parametrize("method", ["nitsche", "penalty"])
+def test_a_free_block_on_ground_that_a_boundary_holds(method):
+    """Its weight is the only load, and no side of the grid has a reaction: the step had failed."""
+    lines = [np.arange(-2.0375, 2.1, 0.125), np.arange(-1.0875, 0.4, 0.125)]
+    points = mpm.fill(mpm.create_lattice(MPI.COMM_WORLD, lines), mpm.Box((-2, -1), (2, 0)), 2, 1.0)
+    law, V = mpm.materials.Hencky(1e7, 0.3), mpm.Space(points.grid, "gimp")
+    u, v = V.increment, V.test
+    base = mpm.Boundary.from_polygon(points, [(-2, -1), (2, -1)], closed=False)
+    face = mpm.Boundary.from_polygon(points, [(1.5, 0), (-1.5, 0)], closed=False)
+    load = fem.Constant(points.grid, (0.0, -2e3))
+    block = mpm.RigidBody(mpm.Box((-1, 0), (1, 1)), free=(False, True, False), force=load)
+    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(base, u, v, law=law, method=method)
+    F += mpm.contact(block, points, u, v, penalty=PENALTY, surface=face)
+    problem = mpm.QuasiStatic(F, u, points, [], stabilisation="ghost", tolerance=1e-8)
+    record = problem.step()
+    assert record.iterations <= 10
+    assert record.halvings == 0
+    assert block.force[1] == pytest.approx(2e3, rel=1e-7)
+    assert base.force()[1] == pytest.approx(2e3, rel=1e-6)
