@@ -162,6 +162,9 @@ def _largest(energy: Array, traction: Array) -> float:
     from scipy import linalg
 
     n = len(energy)
+    if n == 0:
+        # all nodes around are prescribed: nothing there that a penalty could hold
+        return 0.0
     try:
         factor = linalg.cholesky(energy, lower=True, check_finite=False)
     except linalg.LinAlgError:

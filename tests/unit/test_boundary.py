@@ -255,6 +255,20 @@ def test_arc_length_under_a_weak_condition():
     np.testing.assert_allclose(base.force(), (0.0, -force), atol=1e-5)
 
 
+def test_a_boundary_between_nodes_that_are_fixed():
+    """No unknown is near its markers, and the matrix for Nitsche's constants was empty."""
+    grid, points, V = scene(box=((0.1, 0.1), (0.9, 0.8)), basis="gimp")
+    u, v = V.increment, V.test
+    base = mpm.Boundary.from_polygon(points, [(0.1, 0.1), (0.9, 0.1)], closed=False)
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], 0.8), normal=(0, 1))
+    F = mpm.momentum(LAW, points, u, v) + mpm.dirichlet(base, u, v, law=LAW)
+    F += top.traction(fem.Constant(grid, (0.0, -0.1)), v)
+    held = mpm.fixed(V, lambda x: x[1] < 0.3)
+    problem = mpm.QuasiStatic(F, u, points, held, stabilisation="ghost")
+    problem.step()
+    assert base.force()[1] + mpm.reaction(problem, held)[1] == pytest.approx(0.08, rel=1e-6)
+
+
 @pytest.mark.parametrize("basis", ["linear", "bspline2"])
 @pytest.mark.parametrize("stabilisation", ["ghost", "aggregation"])
 def test_a_side_that_only_markers_reach_holds_nothing(stabilisation, basis):
