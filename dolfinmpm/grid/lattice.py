@@ -190,10 +190,14 @@ def require_lattice(grid: Mesh, what: str) -> Lattice:
     """
     lattice = lattice_of(grid)
     if lattice is None:
+        # all else than a basis needs such a grid with any basis
+        instead = 'use basis="linear", or make' if what.startswith("basis=") else "make"
         raise UnsupportedGridError(
             f"{what} needs a rectangular grid (axis-aligned intervals, quadrilaterals or "
             f"hexahedra that fill one box), got a grid of {grid.topology.cell_type.name}s that "
-            'is not rectangular; use basis="linear" or dolfinx.mesh.create_rectangle / create_box'
+            f"is not rectangular; {instead} the grid with mpm.create_lattice, or with "
+            "mesh.create_rectangle(..., mesh.CellType.quadrilateral), in 3D "
+            "mesh.create_box(..., mesh.CellType.hexahedron)"
         )
     return lattice
 

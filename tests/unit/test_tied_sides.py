@@ -152,8 +152,11 @@ def test_what_cannot_be_tied():
     with pytest.raises(ParameterError, match="equal cells along the axis 0; they are 1 to 2 m"):
         mpm.tied(mpm.Space(graded), period=1.0)
     triangles = mpm.Space(mesh.create_unit_square(COMM, 3, 3, mesh.CellType.triangle))
-    with pytest.raises(UnsupportedGridError):
+    # another basis would not help
+    with pytest.raises(UnsupportedGridError, match=r"rectangular; make the grid with mpm\.create"):
         mpm.tied(triangles, period=1.0)
+    with pytest.raises(UnsupportedGridError, match=r'rectangular; use basis="linear", or make'):
+        mpm.Space(triangles.grid, "gimp")
     box = mpm.RigidBody(mpm.Box((2, 0), (3, 2)), increment=(0, 0))
     refined = mpm.Space(grid, "gimp", refine=mpm.near(box, size=0.5), levels=1)
     with pytest.raises(UnsupportedGridError, match="refined"):
