@@ -79,6 +79,9 @@ def faces_of(boundary: Boundary) -> tuple[Array, Array]:
     here = boundary.present()
     sent = (points.comm.allgather(boundary.markers[name][here]) for name in ("x", "area"))
     x, area = (np.concatenate(parts) for parts in sent)
+    # a point at a right angle has as much of either face: the order of markers decides, not ranks
+    order = np.lexsort((*area.T, *x.T))
+    x, area = x[order], area[order]
     markers = _Markers(x, area, area / np.linalg.norm(area, axis=1)[:, None])
     found = nearest(points["x"], keys_of(points["x0"]), markers.x)
     at, rows = nearest_of_all(points.comm, *found)
