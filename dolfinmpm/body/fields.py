@@ -34,6 +34,7 @@ _MAKERS = {
     "J_bar": "mpm.momentum(..., fbar=True) gives it to them when the problem is made",
     "arc_increment": "mpm.ArcLength gives it to them when it is made",
     "effective_weight": "the body_force of an mpm.Deposit gives it to them",
+    "seepage_force": "the body_force of an mpm.Deposit with a sloping water table gives it to them",
 }
 
 

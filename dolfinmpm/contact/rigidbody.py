@@ -23,7 +23,7 @@ from dolfinmpm.contact.bodymotion import (
     first_rate,
     rotation_of,
 )
-from dolfinmpm.contact.shapesurface import surface_of
+from dolfinmpm.contact.shapesurface import refuse_half, surface_of
 from dolfinmpm.contact.surfaces import RigidSurface, middle_of
 from dolfinmpm.contact.tunnelling import half_thickness, travelled
 
@@ -157,8 +157,9 @@ class RigidBody(ReadOnce):
         """Raise unless the body can be a body of revolution, with motion along the axis only.
 
         Raises:
-            ParameterError: The body can, or does, move across the axis x[0] = 0 or turn.
+            ParameterError: The body can, or does, move across the axis or turn, or ends there.
         """
+        refuse_half(self.surface, self.name)
         across = [c for c in ([] if self.freedom is None else self.freedom.free) if c != 1]
         first = np.concatenate([first_rate(self._shift), first_rate(self._turn)])
         if across or first[0] != 0.0 or first[2] != 0.0:

@@ -22,7 +22,7 @@ from dolfinmpm.contact.meshparts import check_parts, volume_of
 from dolfinmpm.contact.rigidshapes import Cone, Plane
 from dolfinmpm.contact.surfaces import HalfSpace, Revolved, RigidSurface, Round, Rounded
 
-__all__ = ["mesh_surface", "surface_of"]
+__all__ = ["mesh_surface", "refuse_half", "surface_of"]
 
 Array = npt.NDArray[np.float64]
 Facet = npt.NDArray[np.int64]
@@ -248,6 +248,24 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
         f"shape = {shown(shape)} is none of a rigid body: give Plane, Disc, Ball, Box, TurnedBox, "
         "Polygon, Wedge, Cone, or a closed surface mesh of triangles"
     )
+
+
+def refuse_half(surface: RigidSurface, name: str) -> None:
+    """Raise where a body of revolution has a face on the axis, which would push points across it.
+
+    Args:
+        surface: Surface of the body.
+        name: Name of the body, for messages.
+
+    Raises:
+        ParameterError: The surface begins at x[0] = 0.
+    """
+    low, high = float(surface.low[0]), float(surface.high[0])
+    if high > 0.0 and abs(low) < _SAME * high:
+        raise ParameterError(
+            f"'{name}' lies between x[0] = 0 and {high:g} m, so it has a face on the axis: in "
+            "axisymmetric problems give the whole section, with its mirror image at x[0] < 0"
+        )
 
 
 def _closed(corners: Array) -> FacetedSurface:

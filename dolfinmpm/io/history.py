@@ -173,7 +173,7 @@ class History(Unchanged):
         Args:
             path: Picture to write; its ending selects the format (.png, .pdf, ...).
             x: Name of the number along the horizontal axis.
-            y: Names of the numbers to draw; all others by default.
+            y: Names of the numbers to draw, one after another; all others by default.
             labels: Name → text beside the axes and in the legend, with its unit.
             size: Width and height (inch).
 
@@ -194,6 +194,13 @@ class History(Unchanged):
         for name in labels:
             self[name]
         texts = {name: name.replace("_", " ") for name in self.names} | dict(labels)
+        for several in y:
+            if isinstance(several, (list, tuple)):
+                names = ", ".join(map(repr, several))
+                raise ParameterError(
+                    f"y = {shown(several)} must be names one after another: "
+                    f"plot(path, {x!r}, {names})"
+                )
         drawn = y or tuple(name for name in self.names if name != x)
         if not drawn:
             raise ParameterError(f"there is nothing to draw over {x!r}; record another number")

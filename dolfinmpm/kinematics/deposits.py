@@ -7,7 +7,8 @@ The effective vertical stress at a height z is the effective weight of the groun
 with the thicknesses t of the layers above and below the water table. The horizontal stresses are
 K0 σ'_v; signs are those of `MaterialPoints`. Laws of drained ground contain only effective stress.
 The body force below the water table is then γ_sat − γ_w, because the water carries the rest of the
-weight.
+weight. Below a sloping water table the water flows, and drags the ground. The pressure p grows with
+the depth below the table, as Dupuit assumed. So the drag is a horizontal force per volume, −∂p/∂x.
 """
 
 from __future__ import annotations
@@ -300,10 +301,10 @@ class Deposit(Unchanged):
     def body_force(self, points: MaterialPoints) -> Expr:
         """Body force per initial volume in balance with the effective stress (N/m³). Collective.
 
-        The force is a downward vector for UFL:
+        The force is a vector for UFL:
         F -= ufl.inner(deposit.body_force(points), v) * points.dX.
-        The method adds the field `effective_weight` (N/m³) to the points, with values at their
-        present positions.
+        It points downward, and below a sloping water table also along the fall of the water. The
+        method adds it to the points, as the fields `effective_weight` and `seepage_force` (N/m³).
 
         Args:
             points: Material points.
@@ -312,8 +313,27 @@ class Deposit(Unchanged):
         values = call_together(points.comm, lambda: self.effective_weight(points["x"].T))
         weight = points.add_field("effective_weight", (), "N/m^d")
         points["effective_weight"] = values
-        zeros = [ufl.as_ufl(0.0)] * (points.gdim - 1)
-        return ufl.as_vector([*zeros, -weight])
+        level: list[Expr] = [ufl.as_ufl(0.0)] * (points.gdim - 1)
+        if callable(self.water_table) and level:
+            x, half = points["x"].T, points["l"].T
+            flow = call_together(points.comm, lambda: self._seepage(x, half))
+            seepage = points.add_field("seepage_force", (points.gdim - 1,), "N/m^d")
+            points["seepage_force"] = flow
+            level = list(seepage)
+        return ufl.as_vector([*level, -weight])
+
+    def _seepage(self, x: Array, half: Array) -> Array:
+        """−∂p/∂x in horizontal directions (N/m³), shape (n, gdim − 1), as means over domains.
+
+        Differences over the domains of the points need no derivative of the table, which has kinks.
+        """
+        force = np.zeros((x.shape[1], len(x) - 1))
+        for i in range(len(x) - 1):
+            step = np.zeros_like(x)
+            step[i] = half[i]
+            fall = self.pore_pressure(x - step) - self.pore_pressure(x + step)
+            force[:, i] = fall / (2 * half[i])
+        return force
 
     def _height(self, what: str, height: Height, x: Array) -> Array:
         if callable(height):

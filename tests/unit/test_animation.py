@@ -252,6 +252,8 @@ def test_a_history_is_drawn(tmp_path):
     assert (tmp_path / "all.png").stat().st_size > 1000
     with pytest.raises(UnknownNameError, match="'force'"):
         history.plot(tmp_path / "none.png", "t", "force")
+    with pytest.raises(ParameterError, match=r"plot\(path, 't', 'load', 't'\)"):
+        history.plot(tmp_path / "none.png", "t", ["load", "t"])
     alone = mpm.History(COMM)
     alone.record(t=0.0)
     with pytest.raises(ParameterError, match="nothing to draw over 't'"):

@@ -240,6 +240,19 @@ def test_a_next_stage_goes_on_with_a_body(kind):
         block.problem.step()
 
 
+def test_half_of_a_body_of_revolution_is_refused():
+    """Its face on the axis is the nearest way out for points beside the axis."""
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), 2, 1.0, axisymmetric=True)
+    V = mpm.Space(grid, "gimp")
+    for left, right in ((-1.0, 1.0), (1.0, 2.0)):  # a pile, a ring
+        pile = mpm.RigidBody(mpm.Box((left, 2), (right, 5)), increment=(0, -0.1))
+        mpm.contact(pile, points, V.increment, V.test)
+    half = mpm.RigidBody(mpm.Box((0, 2), (1, 5)), increment=(0, -0.1))
+    with pytest.raises(ParameterError, match=r"face on the axis.*mirror image"):
+        mpm.contact(half, points, V.increment, V.test)
+
+
 def test_points_within_a_body_are_told_of():
     block = Block(middle=(0.5, 1.2))
     with pytest.raises(ParameterError, match="material points are inside 'disc' before"):

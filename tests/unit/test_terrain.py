@@ -283,6 +283,24 @@ def test_ground_starts_at_rest_with_layers_and_water():
             mpm.start_at_rest(problem, ground)
 
 
+def test_water_below_a_sloping_table_drags_the_ground():
+    """A table that falls by 1 in 4 takes γ_w/4 per volume; the fixed base carries it."""
+    grid, fall = lattice(8.0, 4.0), 0.25
+    table = mpm.Terrain(([0, 8],), [4.0, 4.0 - 8 * fall])
+    layer = mpm.Layer(0.0, 18e3, K0=0.5, saturated_unit_weight=20e3)
+    ground = mpm.Deposit(4.0, layer, water_table=table)
+    points = mpm.fill(grid, mpm.Box((0, 0), (8, 1)), 2, ground.density)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(50e6, 0.3), points, V.increment, V.test)
+    F -= ufl.inner(ground.body_force(points), V.test) * points.dX
+    bcs = mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    problem.step()
+    force = mpm.reaction(problem, bcs)
+    assert points["seepage_force"] == pytest.approx(9810 * fall, rel=1e-12)
+    assert force[0] == pytest.approx(-8 * 9810 * fall, rel=1e-9)
+
+
 # -- rigid beds -----------------------------------------------------------------------------
 
 
