@@ -338,14 +338,14 @@ class Law(Parametrised):
             raise StateError(self.describe(bad, trial[bad], old[bad], parameters))
         return found
 
-    def check(self, *, strain: float = 1e-3, tolerance: float = 1e-3) -> list[str]:
+    def check(self, *, strain: float | None = None, tolerance: float = 1e-3) -> list[str]:
         """Compare the tangent with central differences of the stress; faults as text.
 
         Trial strains are random, and internal variables are those before any yielding. Strains at
         which the stress has a kink do not count. Parameters are numbers.
 
         Args:
-            strain: Largest trial strain. It should be beyond yield.
+            strain: Largest trial strain, beyond yield; by default 1e-3, 1e-2 and 1e-1 in turn.
             tolerance: Largest difference, as a share of the largest entry of the tangent.
         """
         return check_law(self, strain, tolerance)

@@ -96,6 +96,22 @@ def test_a_wrong_tangent_is_told():
         own(stiff, "a", "b").check(strain=0.0)
 
 
+@law_kernel
+def wrong_beyond_yield(parameters, strain, old, new, stress, tangent):
+    """Yields at a strain of 5 %, with the elastic tangent."""
+    for i in range(3):
+        stress[i] = parameters[0] * min(max(strain[i], -0.05), 0.05)
+        for j in range(3):
+            tangent[3 * i + j] = parameters[0] * (i == j)
+    return 0
+
+
+def test_a_wrong_tangent_beyond_a_late_yield_is_told():
+    (told,) = own(wrong_beyond_yield).check()
+    assert "has a wrong tangent" in told
+    assert own(wrong_beyond_yield).check(strain=1e-2) == []
+
+
 @pytest.mark.parametrize(
     "law",
     [
