@@ -112,6 +112,38 @@ def test_a_wrong_tangent_beyond_a_late_yield_is_told():
     assert own(wrong_beyond_yield).check(strain=1e-2) == []
 
 
+def yielding(parameters, strain, old, new, stress, tangent):
+    """Each axis alone is perfectly plastic beyond a strain of 0.1 %."""
+    new[0] = old[0]
+    for i in range(3):
+        kept = min(max(strain[i], -1e-3), 1e-3)
+        new[0] += abs(strain[i] - kept)
+        for j in range(3):
+            tangent[3 * i + j] = parameters[0] * (i == j) * (kept == strain[i])
+        stress[i] = parameters[0] * kept
+    return 0
+
+
+@law_kernel
+def keeping(parameters, strain, old, new, stress, tangent):
+    new[0] = old[0]
+    for i in range(3):
+        kept = min(max(strain[i], -1e-3), 1e-3)
+        new[0] += abs(strain[i] - kept)
+        for j in range(3):
+            tangent[3 * i + j] = parameters[0] * (i == j) * (kept == strain[i])
+        stress[i] = parameters[0] * kept
+        strain[i] = kept
+    return 0
+
+
+def test_a_return_mapping_without_elastic_strains_is_told():
+    (told,) = own(law_kernel(yielding), "flow").check()
+    assert "'flow' changes at the trial strains" in told
+    assert "must write the elastic strains" in told
+    assert own(keeping, "flow").check() == []
+
+
 @pytest.mark.parametrize(
     "law",
     [
