@@ -57,14 +57,16 @@ for t in mpm.times(end, dt="auto", at_once=1, label="debris"):
     curve.record(t=time, momentum=momentum, balance=pushed)
 shown.append((time, points.gather("x", "velocity")))
 
-with mpm.figure("output/debris_flow.png", 6.6, 4.4, nrows=2, ncols=2) as (_, axes):
+with mpm.figure("output/debris_flow.png", 6.6, 4.4, nrows=2, ncols=2) as (figure, axes):
     for ax, (t, found) in zip(axes.ravel(), shown):
         ax.contour(x, y, z, levels=12, colors="0.7", linewidths=0.5)
         if found is not None:
             speed = np.linalg.norm(found[1], axis=1)
-            ax.scatter(*found[0].T[:2], s=1.5, c=speed, vmin=0, vmax=15, lw=0)
+            drawn = ax.scatter(*found[0].T[:2], s=1.5, c=speed, vmin=0, vmax=15, lw=0)
         ax.axvline(wall_at, color="k", lw=1.5)
         ax.set(aspect="equal", title=f"$t = {t:.1f}$ s", xlabel="$x$ (m)", ylabel="$y$ (m)")
+    if found is not None:
+        figure.colorbar(drawn, ax=axes[1, 0], shrink=0.8, label="speed (m/s)")
     last = axes[1, 1]
     last.plot(curve["t"], curve["momentum"] / 1e6, label="points")
     last.plot(curve["t"][::25], curve["balance"][::25] / 1e6, "o", ms=3, label="forces")

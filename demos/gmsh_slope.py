@@ -89,12 +89,12 @@ with mpm.figure("output/gmsh_slope.png", 7.2, 2.2, ncols=2, width_ratios=[5, 2])
     failing, growth = axes
     if before is not None and after is not None:
         way = np.linalg.norm(after[0] - before[0], axis=1)
-        drawn = failing.scatter(*after[0].T, s=3, c=way, lw=0)
-        fig.colorbar(drawn, ax=failing, label="displacement (m)", shrink=0.5)
+        drawn = failing.scatter(*after[0].T, s=5, c=way, lw=0)
+        fig.colorbar(drawn, ax=failing, label="displacement (m)", shrink=0.5, location="top")
     failing.plot(*np.transpose(surface), color="0.4", lw=0.6)
     failing.plot([0, 30], [interface] * 2, color="0.4", lw=0.6, ls="--")
     part = above[worst] > 0
-    failing.plot(x[worst, part], y[worst, part], color="k", lw=1.2, label="worst circle")
+    failing.plot(x[worst, part], y[worst, part], color="k", lw=1.2, label="critical circle")
     for name, height in (("fill", 10.2), ("clay", 1.0)):
         failing.text(1, height, name, fontsize=7, bbox={"fc": "w", "ec": "none", "pad": 1})
     failing.set(aspect="equal", xlabel="$x$ (m)", ylabel="$y$ (m)", xlim=(0, 48), ylim=(0, 12.5))
@@ -102,7 +102,7 @@ with mpm.figure("output/gmsh_slope.png", 7.2, 2.2, ncols=2, width_ratios=[5, 2])
     # trials that ended early have smaller displacements
     done = [trial for trial in found.trials if trial.steps == 5]
     growth.plot([trial.factor for trial in done], [trial.growth for trial in done], "o", ms=3)
-    growth.axvline(circles, color="k", lw=1.2, label="worst circle")
+    growth.axvline(circles, color="k", lw=1.2, label="critical circle")
     growth.set(xlabel="factor of safety", ylabel="displacement / elastic", ylim=(0, None))
     growth.legend()
 

@@ -63,7 +63,7 @@ for t in mpm.times(1.0, dt=0.01, label="slide"):
 with mpm.figure("output/incline.png", 6.0, 2.4, ncols=2) as (_, (left, right)):
     left.plot(history["t"], history["exact"], color="k", lw=1, label="closed form")
     left.plot(history["t"][::5], history["way"][::5], "o", ms=3, label="material points")
-    left.set(xlabel="time (s)", ylabel="way (m)")
+    left.set(xlabel="time (s)", ylabel="distance (m)")
     left.legend(loc="upper left")
     right.axhline(mu * density * length * height * down / 1e3, color="k", lw=1)
     right.plot(history["t"], history["rubbed"] / 1e3)

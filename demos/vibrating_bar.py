@@ -56,7 +56,7 @@ with mpm.figure("output/vibrating_bar.png", 6.0, 2.4, ncols=2) as (_, (left, rig
         left.plot(t, momentum, label=f"{mass} mass")
         right.plot(t, energy / energy[0], label=f"{mass} mass")
     left.set(xlabel="time (s)", ylabel="momentum (kg m/s)")
-    right.set(xlabel="time (s)", ylabel="energy / that at first", ylim=(0.75, 1.01))
+    right.set(xlabel="time (s)", ylabel="energy / initial energy", ylim=(0.75, 1.01))
     right.legend(loc="lower left")
 
 # every other zero of the momentum, by straight lines between the steps

@@ -84,6 +84,6 @@ if rows is not None:
     with mpm.figure("output/your_own_law.png") as (_, axes):
         axes.plot(np.log(rows[1][:, 0, 0]), rows[0][:, 0], ".", label="material points")
         axes.plot(exact, Y, label="exact", zorder=1)
-        axes.set(xlabel="logarithmic strain", ylabel="first height Y (m)")
+        axes.set(xlabel="logarithmic strain", ylabel="initial height $Y$ (m)")
         axes.legend()
 assert abs(top / exact_height - 1) < 1e-3

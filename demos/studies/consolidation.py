@@ -313,7 +313,7 @@ if not args.no_plot:
             left.set(xlabel="$T$", ylabel="$U$", ylim=(1, 0))
             left.legend()
             right.plot(p, x / H, ".", ms=3, label=f"$T = {args.times[-1]:g}$")
-            right.set(xlabel="excess pressure / load", ylabel="height / first height")
+            right.set(xlabel="excess pressure / load", ylabel="height / initial height")
             right.legend()
 
 finish(args, figures)

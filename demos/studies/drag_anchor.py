@@ -191,11 +191,11 @@ def picture(path, args, figures):
         left.plot(way, depth, marker="o", ms=3, label="material points")
         expected = predicted(args, way[half:], figures["tension"], depth[half])
         left.plot(way[half:], expected, "k--", lw=1, label="Neubecker & Randolph")
-        left.set(xlabel="way (m)", ylabel="depth of the fluke (m)")
+        left.set(xlabel="distance (m)", ylabel="depth of the fluke (m)")
         left.invert_yaxis()
         left.legend()
         right.plot(way, tension / 1e3, marker="o", ms=3)
-        right.set(xlabel="way (m)", ylabel="tension at the pad eye (kN)", ylim=(0, None))
+        right.set(xlabel="distance (m)", ylabel="tension at the pad eye (kN)", ylim=(0, None))
 
 
 # %%

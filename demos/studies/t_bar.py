@@ -126,7 +126,9 @@ def picture(path, gathered):
         left.axhline(exact, color="k", lw=0.8, ls="--", label="Randolph & Houlsby")
         left.plot(curve[:, 0], curve[:, 1], "o-", ms=2.5, color="C1", label="material points")
         left.set(
-            xlabel="way by $R$", ylabel="$N_T$", ylim=(0, 1.15 * max(exact, curve[:, 1].max()))
+            xlabel="displacement / $R$",
+            ylabel="$N_T$",
+            ylim=(0, 1.15 * max(exact, curve[:, 1].max())),
         )
         left.legend(loc="lower right")
         drawn = draw_points(right, *both, np.tile(half, (2, 1)), np.tile(strain, 2))

@@ -208,11 +208,11 @@ if not args.no_plot and comm.rank == 0:
         left, middle, right = axes
         left.plot(exact_t / period, exact_p / exact_p[0], color="0.6", lw=2.4, label="continuum")
         left.plot(t / period, p / p[0], color="C0", lw=0.9, label="material points")
-        left.set(ylabel="momentum / that at first", ylim=(-1.15, 1.85))
+        left.set(ylabel="momentum / initial momentum", ylim=(-1.15, 1.85))
         left.legend(loc="upper center")
         right.plot(t / period, 1 - energy / energy[0], color="C0")
         right.plot(np.arange(len(kept)), 1 - kept, "o", color="C0", clip_on=False)
-        right.set(ylabel="energy lost / that at first")
+        right.set(ylabel="energy lost / initial energy")
         right.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
         balance.draw(middle, period)
         middle.set(ylim=(0.0, 1.45))

@@ -63,7 +63,7 @@ if grid.comm.rank == 0:
 with mpm.figure("output/thrust.png", 4.0, 2.6) as (_, axes):
     axes.plot(curve["way"], curve["thrust"] / 1e3, label="material points")
     axes.axhline(exact / 1e3, color="k", lw=1, label="Rankine")
-    axes.set(xlabel="way of the wall (mm)", ylabel="thrust (kN/m)")
+    axes.set(xlabel="displacement of the wall (mm)", ylabel="thrust (kN/m)")
     axes.legend()
 assert abs(found / exact - 1) < 0.02
 
