@@ -1,1 +1,1 @@
-"""What lies beneath: versions, start-up, errors, abort, compile caches, the report on a system."""
+"""Support for all other folders: versions, start-up, errors, abort, compile caches, bug reports."""

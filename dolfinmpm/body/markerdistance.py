@@ -1,4 +1,4 @@
-"""Markers that have no body beside them."""
+"""Checks that a boundary has a body beside it."""
 
 from __future__ import annotations
 

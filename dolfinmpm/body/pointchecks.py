@@ -1,7 +1,7 @@
-"""What cannot be: grids that points cannot lie in, impossible values, results changed by hand.
+"""Checks of material points: their grid, their values, and results that a script has changed.
 
-Steps compute some fields from others. A change of these fields by hand would be overwritten in
-silence, so that the end of a step seals them, see `FieldArrays`.
+Steps compute some fields from others. A change of these fields by hand would be overwritten
+without a message. So the end of a step seals them, see `FieldArrays`.
 """
 
 from __future__ import annotations

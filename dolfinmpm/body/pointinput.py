@@ -1,4 +1,4 @@
-"""Points given anyhow: their cells, their ranks, their numbers, and each of them once."""
+"""Points from given positions: their cells, ranks and numbers, each point on one rank."""
 
 from __future__ import annotations
 

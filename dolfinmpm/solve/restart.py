@@ -1,4 +1,4 @@
-"""The state of a problem in a checkpoint file and in memory, and its way back."""
+"""The state of a problem, in a checkpoint file and in memory: saved, and restored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where runs at neighbouring parameters take different ways, and the mirror image of a run.
+"""Runs at neighbouring parameters that yield or touch otherwise, and the mirror image of a run.
 
 A derivative follows from runs at m + ε Δm, or m ± ε Δm, that take the same way: the same cells are
 active, the same points yield, touch and slip. If one run leaves the way of the run at m, the other

@@ -1,4 +1,4 @@
-"""What a user should know of derivatives, in words."""
+"""Notes for the user on derivatives that do not exist, or have large errors."""
 
 from __future__ import annotations
 
