@@ -63,7 +63,8 @@ for name, history in runs.items():
 
 with mpm.figure("output/time.png", 4.5, 2.6) as (_, axes):
     for name, history in runs.items():
-        axes.plot(history["t"], history["momentum"], label=name)
+        line = "-" if name == "Newmark" else "--"
+        axes.plot(history["t"], history["momentum"], line, label=name)
     axes.set(xlabel="time (s)", ylabel="momentum (kg m/s)")
     axes.legend()
 

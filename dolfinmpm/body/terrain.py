@@ -68,8 +68,9 @@ class Terrain(Unchanged):
         z = coordinates("heights", heights)
         if not 1 <= len(own) <= 2 or any(line.ndim != 1 or line.size < 2 for line in own):
             raise ParameterError(
-                "a terrain needs lines (x, y), or (x,) in 2D, of at least two coordinates each, as in "
-                f"mpm.Terrain(([0, 10, 30],), [8, 8, 2]); got shapes {[line.shape for line in own]}"
+                "a terrain needs lines (x, y), or (x,) in 2D, of at least two coordinates each, as "
+                "in mpm.Terrain(([0, 10, 30],), [8, 8, 2]); "
+                f"got shapes {[line.shape for line in own]}"
             )
         for name, line in zip("xy", own):
             if not np.isfinite(line).all() or not np.all(np.diff(line) > 0.0):

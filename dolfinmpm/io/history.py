@@ -166,6 +166,7 @@ class History(Unchanged):
         x: str,
         *y: str,
         labels: dict[str, str] | None = None,
+        ylabel: str | None = None,
         size: tuple[float, float] = (3.5, 2.6),
     ) -> None:
         """Draw recorded numbers over one of them. Rank 0 writes the picture.
@@ -175,6 +176,7 @@ class History(Unchanged):
             x: Name of the number along the horizontal axis.
             y: Names of the numbers to draw, one after another; all others by default.
             labels: Name → text beside the axes and in the legend, with its unit.
+            ylabel: Text beside the vertical axis, with its unit, for several numbers.
             size: Width and height (inch).
 
         Raises:
@@ -209,10 +211,9 @@ class History(Unchanged):
             for name, values in zip(drawn, columns[1]):
                 axes.plot(columns[0], values, label=texts[name])
             axes.set_xlabel(texts[x])
-            if len(drawn) == 1:
-                axes.set_ylabel(texts[drawn[0]])
-            else:
+            if len(drawn) > 1:
                 axes.legend()
+            axes.set_ylabel(ylabel or (texts[drawn[0]] if len(drawn) == 1 else ""))
 
     def __repr__(self) -> str:
         return f"History of {len(self)} records: {', '.join(self.names)}".rstrip(": ")

@@ -163,6 +163,10 @@ class Scene:
             low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
         drawn.set(array=self.values, cmap=self.cmap, clim=(low, high))
         bar = drawn.figure.colorbar(drawn, cax=axes, orientation=orientation, extend=extend)
+        found = np.unique(self.values)
+        # between tags, and levels, there is nothing
+        if self.limits is None and 1 < found.size <= 8 and (found == np.rint(found)).all():
+            bar.set_ticks(found, labels=[f"{value:g}" for value in found])
         bar.set_label(self.label)
         bar.outline.set_linewidth(0.6)
 

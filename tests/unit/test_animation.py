@@ -249,6 +249,7 @@ def test_a_history_is_drawn(tmp_path):
         history.record(t=t, load=t**2, way=2 * t)
     history.plot(tmp_path / "all.png", "t")
     history.plot(tmp_path / "one.png", "t", "load", labels={"load": "load (N)"})
+    history.plot(tmp_path / "two.png", "t", "load", "t", ylabel="load (N), time (s)")
     assert (tmp_path / "all.png").stat().st_size > 1000
     with pytest.raises(UnknownNameError, match="'force'"):
         history.plot(tmp_path / "none.png", "t", "force")
