@@ -172,7 +172,7 @@ class Deposit(Unchanged):
         for what, height in (("surface", surface), ("water_table", water_table)):
             dry = height is None and what == "water_table"
             if not dry and not callable(height):
-                number(what, height, unit="m" if np.ndim(height) == 0 else "m, or a function of x")
+                number(what, height, unit="m" if isinstance(height, float) else "m, or a function")
         number("water_weight", water_weight, 0.0, closed=True, unit="N/m³")
         if water_table is None:
             refuse_idle("water_weight", water_weight, 9810.0, "there is no water_table")
