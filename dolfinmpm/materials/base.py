@@ -341,9 +341,8 @@ class Law(Parametrised):
     def check(self, *, strain: float | None = None, tolerance: float = 1e-3) -> list[str]:
         """Compare the tangent with central differences of the stress; faults as text.
 
-        A kernel that yields must also write elastic strains. Trial strains are random, and internal
-        variables are those before any yielding. Strains at which the stress has a kink do not
-        count. Parameters are numbers.
+        Trial strains are random, and internal variables are those before any yielding. Strains at
+        which the stress has a kink do not count. Parameters are numbers.
 
         Args:
             strain: Largest trial strain, beyond yield; by default 1e-3, 1e-2 and 1e-1 in turn.

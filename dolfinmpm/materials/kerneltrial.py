@@ -1,4 +1,7 @@
-"""A trial of a user's kernel between guard values: Numba cannot check the ends of pointers."""
+"""A trial of a user's kernel: what it reads and writes, and whether it keeps elastic strains.
+
+Guard values lie around all arrays, because Numba cannot check the ends of pointers.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,13 @@ _GUARDS = 16
 _VALUES = (3.1, 17.7)
 # guards of what a kernel reads have other values: an output with them has been written
 _READ, _BESIDE = ("parameters", "strain", "old"), 1.3
-# at rest, and small and large strains of both signs
-_STRAINS = ((0.0, 0.0, 0.0), (1e-6, -2e-6, 5e-7), (0.03, 0.01, -0.005), (-0.03, -0.01, 0.005))
+# at rest, and small and large strains of both signs; soft soil yields at the last ones
+_STRAINS = (
+    (0.0, 0.0, 0.0), (1e-6, -2e-6, 5e-7), (0.03, 0.01, -0.005), (-0.03, -0.01, 0.005),
+    (0.1, -0.2, 0.05),
+)  # fmt: skip
+# Share of a change of an internal variable that the same step once more must not have
+_AGAIN = 0.5
 
 
 def try_kernel(law: Law) -> None:
@@ -32,7 +40,8 @@ def try_kernel(law: Law) -> None:
     All ranks try the same numbers. For a parameter that varies, a number in its range serves.
 
     Raises:
-        UserLawError: It reads or writes beyond an array, or leaves a part of its results unwritten.
+        UserLawError: It reads or writes beyond an array, leaves a part of its results unwritten,
+            or yields without elastic strains.
     """
     kernel: Any = law.kernel
     sizes = len(law.parameters), len(law.internal)
@@ -43,6 +52,8 @@ def try_kernel(law: Law) -> None:
     for strain in _STRAINS:
         found = [_call(kernel.compiled, parameters, strain, first, value) for value in _VALUES]
         _judge(law, found)
+        if found[0][0] == 0:
+            _judge_return(law, parameters, np.array(strain), first, found[0][1])
     kernel.tried.add(sizes)
 
 
@@ -68,6 +79,32 @@ def _call(compiled: Any, parameters: Array, strain: Any, first: Array, value: fl
     pointers = (array[_GUARDS:].ctypes.data_as(double) for array in arrays.values())
     status = compiled.ctypes(*pointers)
     return status, arrays
+
+
+def _judge_return(law: Law, parameters: Array, strain: Array, first: Array, found: Any) -> None:
+    """Raise UserLawError if the kernel yields, and leaves trial strains for the elastic ones.
+
+    From its own results it then yields by as much once more.
+    """
+    new = _inner(found["new"])
+    flow = np.abs(new - first)
+    if not flow.any() or not np.array_equal(_inner(found["strain"]), strain):
+        return
+    kernel: Any = law.kernel
+    _, again = _call(kernel.compiled, parameters, strain, new, _VALUES[0])
+    more = (flow > 0.0) & (np.abs(_inner(again["new"]) - new) > _AGAIN * flow)
+    if more.any():
+        raise UserLawError(
+            f"{type(law).__name__}: '{list(law.internal)[int(np.argmax(more))]}' changes at the "
+            f"trial strains {strain.tolist()}, and as much again if its kernel is called with the "
+            "results. After a return mapping a kernel must write the elastic strains: "
+            "strain[i] = ..."
+        )
+
+
+def _inner(array: Array) -> Array:
+    """An array without its guards."""
+    return array[_GUARDS : len(array) - _GUARDS]
 
 
 def _guard(name: str, value: float) -> float:

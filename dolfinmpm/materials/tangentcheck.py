@@ -1,4 +1,4 @@
-"""A law's tangent against differences of its stress, and the elastic strains that it keeps."""
+"""A law's tangent against differences of its stress."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ _POINTS = 24
 _STRAINS = 1e-3, 1e-2, 1e-1
 # Differences to both sides that differ by more than this share show a kink
 _KINK = 0.02
-# Share of a change of an internal variable that a repeated step must not have
-_AGAIN = 0.5
 # Share of the strain by which differences are taken
 _STEP = 1e-4
 
@@ -70,33 +68,9 @@ def _faults_at(law: Law, strain: float, tolerance: float, *, needed: bool = True
             "so that a law is isotropic. For other materials take a UMAT, or an energy in UFL"
         ]
     good = good & (needed | (np.abs(numeric).max(axis=(1, 2)) > 0.0))  # not where all axes yield
-    wrong = tangent_fault(
+    return tangent_fault(
         law, lambda i, j: f"tangent[{3 * i + j}]", tangent, numeric, kink, good, tolerance
     )
-    return wrong or _kept_strain_fault(law, trial, old, parameters)
-
-
-def _kept_strain_fault(law: Law, trial: Array, old: Array, parameters: Array) -> list[str]:
-    """A kernel that yields, and leaves the trial strains where elastic strains must be.
-
-    From its own results it then yields again by as much.
-    """
-    for p in range(len(trial)):
-        strain, first = trial[p : p + 1], old[p : p + 1]
-        bad, found = law.evaluated(strain, first, parameters)
-        flow: Array = np.abs(found.internal - first)
-        if bad >= 0 or not flow.any() or not np.array_equal(found.strain, strain):
-            continue
-        _, again = law.evaluated(found.strain, found.internal, parameters)
-        more = (flow > 0.0) & (np.abs(again.internal - found.internal) > _AGAIN * flow)
-        if more.any():
-            name = list(law.internal)[int(np.argmax(more))]
-            return [
-                f"{law!r}: '{name}' changes at the trial strains {strain[0].tolist()}, and changes "
-                "again if the step is repeated. After a return mapping the kernel must write the "
-                "elastic strains: strain[i] = ..."
-            ]
-    return []
 
 
 def _responses(law: Law, trial: Array, old: Array, parameters: Array) -> tuple[Array, Array]:
