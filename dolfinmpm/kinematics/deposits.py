@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import (
@@ -33,12 +32,13 @@ from dolfinmpm._platform.argumentchecks import (
     shown,
 )
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.uncopied import Unchanged, unchanged
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.terrain import Terrain
 from dolfinmpm.grid.userfunctions import call_function
+from dolfinmpm.kinematics.depositforce import effective_force
 from dolfinmpm.materials.sands import Sand
 
 __all__ = ["Deposit", "Layer", "check_dimension"]
@@ -305,35 +305,14 @@ class Deposit(Unchanged):
         F -= ufl.inner(deposit.body_force(points), v) * points.dX.
         It points downward, and below a sloping water table also along the fall of the water. The
         method adds it to the points, as the fields `effective_weight` and `seepage_force` (N/m³).
+        Points that come later get the weight of the ground at their place. Give fill above the
+        surface its weight: fill.add_field("effective_weight", (), "N/m^d", 19e3).
 
         Args:
             points: Material points.
         """
         check_points(points)
-        values = call_together(points.comm, lambda: self.effective_weight(points["x"].T))
-        weight = points.add_field("effective_weight", (), "N/m^d")
-        points["effective_weight"] = values
-        level: list[Expr] = [ufl.as_ufl(0.0)] * (points.gdim - 1)
-        if callable(self.water_table) and level:
-            x, half = points["x"].T, points["l"].T
-            flow = call_together(points.comm, lambda: self._seepage(x, half))
-            seepage = points.add_field("seepage_force", (points.gdim - 1,), "N/m^d")
-            points["seepage_force"] = flow
-            level = list(seepage)
-        return ufl.as_vector([*level, -weight])
-
-    def _seepage(self, x: Array, half: Array) -> Array:
-        """−∂p/∂x in horizontal directions (N/m³), shape (n, gdim − 1), as means over domains.
-
-        Differences over the domains of the points need no derivative of the table, which has kinks.
-        """
-        force = np.zeros((x.shape[1], len(x) - 1))
-        for i in range(len(x) - 1):
-            step = np.zeros_like(x)
-            step[i] = half[i]
-            fall = self.pore_pressure(x - step) - self.pore_pressure(x + step)
-            force[:, i] = fall / (2 * half[i])
-        return force
+        return effective_force(self, points)
 
     def _height(self, what: str, height: Height, x: Array) -> Array:
         if callable(height):
