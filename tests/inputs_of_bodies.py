@@ -74,7 +74,7 @@ INPUTS = {
     "mpm.RigidBody(TOOL, free=(False, True, True), force=(1.0, 0.0))": "force acts on components",
     "s.solver(form=s.F + touch(s, mpm.RigidBody(TOOL, force=lambda x, t: (0, 1)))).step()":
         "force = a function must be a function of the time (s) alone",
-    "touch(s, penalty=1e300)": "penalty = 1e+300 must be at least 1e-06 and at most 1e+12",
+    "touch(s, penalty=1e300)": "penalty = 1e+300 must be at least 1e-06 and at most 1e+09",
     "touch(s, penalty=1e-300)": "penalty = 1e-300 must be at least 1e-06",
     "touch(s, friction=0.5, slip_stiffness=1e300)": "slip_stiffness = 1e+300 must be above 0",
     "touch(s, slip_stiffness=3.0)": "slip_stiffness = 3.0 would do nothing: it is of friction",
@@ -132,7 +132,7 @@ INPUTS = {
     'points_at(s, fields={"velocity": np.full((2, 2), nan)})': "field 'velocity' is [nan nan] in",
     's.points.gather(["x", "V"])': "points[['x', 'V']]: fields go by their names, one",
     "s.fill().add_field(3)": "name = 3 must be a word: it names a field",
-    's.fill().add_field("density", (), "", 5.0)': "all points have a field 'density', and a first",
+    's.fill().add_field("density", (), "", 5.0)': "the points have a field 'density' already",
     's.fill().add_field("wet", "2")': "shape = '2' of field 'wet' must be a tuple: () for",
     's.fill().add_field("wet", 2)': "shape = 2 of field 'wet' must be a tuple: () for a",
     's.fill().add_field("wet", (), 3)': "unit = 3 of field 'wet' must be a word",

@@ -72,7 +72,7 @@ INPUTS = {
         'has strain = "small", and the body there strain',
     "touch(s, mpm.RigidBody(TOOL, velocity=lambda: (0, 1)))": "velocity = a function must be",
     'setattr(mpm.RigidBody(TOOL), "position", (0, 0))': "it cannot be set",
-    's.fill().add_field("density", (), "", 5.0)': "all points have a field 'density'",
+    's.fill().add_field("density", (), "", 5.0)': "the points have a field 'density' already",
     's.fill().__setitem__("id", 0)': "'id' identifies the points",
     "s.solver(form=s.F + s.momentum())": "two terms of the form have a law on the same points",
     's.solver(form=s.F + s.momentum(strain="small"))': "two terms of the form have a law",

@@ -8,7 +8,7 @@ from typing import Any
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import number
-from dolfinmpm._platform.errors import DegreesWarning, warn
+from dolfinmpm._platform.errors import DegreesWarning, ParameterError, warn
 
 __all__ = [
     "FAR_MODULI",
@@ -18,6 +18,9 @@ __all__ = [
     "LEAST_PENALTY",
     "friction_coefficient",
     "in_radians",
+    "refuse_kilonewtons",
+    "refuse_kilopascals",
+    "refuse_number_of",
     "warn_of_radians",
 ]
 
@@ -53,6 +56,31 @@ def friction_coefficient(value: Any) -> float:
             DegreesWarning,
         )
     return mu
+
+
+def refuse_number_of(what: str, value: float, low: float, high: float, told: str) -> None:
+    """Raise ParameterError if a number lies in a range that only another unit of it makes.
+
+    Args:
+        what: The argument.
+        value: Its number.
+        low, high: The range.
+        told: What the number is, and what to give.
+    """
+    if low <= value <= high:
+        raise ParameterError(f"{what} = {value:g} {told}")
+
+
+def refuse_kilonewtons(what: str, weight: float) -> None:
+    """Raise ParameterError for a unit weight of ground (N/m³) that is the number of kN/m³."""
+    told = f"N/m³ is the number of kN/m³: give {1e3 * weight:g} N/m³"
+    refuse_number_of(what, weight, 8.0, 40.0, told)
+
+
+def refuse_kilopascals(what: str, pressure: float) -> None:
+    """Raise ParameterError for the pressure of the atmosphere (Pa) that is the number of kPa."""
+    told = f"Pa is the number of kPa: give {1e3 * pressure:g} Pa"
+    refuse_number_of(what, pressure, 95.0, 105.0, told)
 
 
 def warn_of_radians(what: str, angle: float) -> bool:

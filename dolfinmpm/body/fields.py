@@ -9,9 +9,10 @@ import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import floats, nearest, shown
-from dolfinmpm._platform.errors import FieldShapeError, ParameterError
+from dolfinmpm._platform.errors import FieldShapeError, ParameterError, call_together
 from dolfinmpm.grid.userfunctions import call_function
 
 if TYPE_CHECKING:
@@ -102,6 +103,31 @@ class PointField(ufl.Coefficient):
                 f"field '{self.name}' has shape {shape} at a point, its first value {given.shape}"
             )
         return np.broadcast_to(given, (len(x0), *shape)).copy()
+
+    def refuse_other(self, value: Any, always: bool) -> None:
+        """Raise ParameterError for another first value, which would have no effect.
+
+        Args:
+            value: First value, see `first`. Collective if it is a function.
+            always: Whether the same value is refused too.
+        """
+        x0 = self.points["x0"]
+        other = PointField(self.points, self.name, self.ufl_shape, self.unit, value)
+
+        def same() -> bool:
+            return np.array_equal(other.first_values(x0), self.first_values(x0), equal_nan=True)
+
+        # functions may differ at the points of some ranks only
+        comm = self.points.comm
+        if callable(value) and not always:
+            alike = bool(comm.allreduce(call_together(comm, same), MPI.LAND))
+        else:
+            alike = not always and same()
+        if not alike:
+            raise ParameterError(
+                f"the points have a field '{self.name}' already, and a first value would have no "
+                f"effect: set points['{self.name}'] = ..."
+            )
 
     # otherwise NumPy would make an array of objects from the components
     __array_ufunc__ = None

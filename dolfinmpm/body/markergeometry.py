@@ -393,8 +393,7 @@ def volumes_beside(points: MaterialPoints, x: Array, area: Array, tags=None) -> 
     return amounts, sizes
 
 
-def share_within(points: MaterialPoints, x: Array, area: Array, tags=None) -> float:
-    """Share of a boundary that has points with the tags on both sides. Collective."""
-    amounts, sizes = volumes_beside(points, x, area, tags)
+def share_within(amounts: Array, sizes: Array) -> float:
+    """Share of a boundary that has points on both sides; see `volumes_beside`."""
     within = amounts.min(axis=1) > _BOTH * amounts.max(axis=1)
     return float(sizes[within].sum() / sizes.sum())

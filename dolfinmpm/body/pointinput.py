@@ -32,6 +32,9 @@ __all__ = ["destinations_of", "located"]
 
 Array = npt.NDArray[np.float64]
 
+# Ratio of domain to volume from which on half-lengths are whole lengths, which make 2 in 1D
+_LARGER = 1.9
+
 # Names that further fields cannot have; an initial stress is such a field
 _RESERVED = {"id", "cell", "tag", "moved_under", *BUILT_IN} - {"stress"}
 
@@ -134,6 +137,14 @@ def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: 
         half_length = 0.5 * size[:, None] ** (1 / gdim)
         half_length = np.repeat(half_length, gdim, axis=1)
     rows["half_length"] = checked("half_length", half_length, (n, gdim))
+    size = rows["volume"] / ring(at[:, 0], 1.0) if axisymmetric else rows["volume"]
+    larger = np.prod(2.0 * rows["half_length"], axis=1) / size
+    if n and larger.min() > _LARGER:
+        raise ParameterError(
+            f"half_length = {rows['half_length'][0]} m of row 0 makes a domain of {larger[0]:.3g} "
+            f"times the point's volume, and all domains are more than {_LARGER:g} times as large: "
+            "give half of the lengths of the domains"
+        )
     if id is not None:
         numbers = array_of("id", id)
         if numbers.shape != (n,):

@@ -217,11 +217,9 @@ class PointTable(Uncopied):
                     f"asked for {shape}; choose another name"
                 )
             given = callable(value) or bool(np.any(np.not_equal(value, 0.0)))
-            if name in BUILT_IN and given:
-                raise ParameterError(
-                    f"all points have a field '{name}', and a first value would have no effect: "
-                    f"set points['{name}'] = ..."
-                )
+            # laws ask for their fields once more, with values of their own
+            if given and set_by_user(type(self), name):
+                self.symbols.fields[name].refuse_other(value, name in BUILT_IN)
             return self.symbols.fields[name]
         if not name.isidentifier() or name in self.__dict__ or hasattr(type(self), name):
             raise ParameterError(f"'{name}' cannot name a field; use a new identifier")

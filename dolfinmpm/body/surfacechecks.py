@@ -21,6 +21,9 @@ __all__ = ["axis_of", "check_exposed", "error_on_axis", "numbers_of", "offsets_a
 
 Array = npt.NDArray[np.float64]
 
+# Longest way from a point to its face, in half-lengths of its domain
+_FARTHEST = 8.0
+
 
 def error_on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
     """Error if faces of an axisymmetric body with these centres lie on the axis, or None."""
@@ -68,10 +71,25 @@ def offsets_and_areas(points: MaterialPoints, offset: Any, area: Any) -> tuple[A
             error = ParameterError(
                 f"{what} = {values[p]} of the point at {points['x'][p]} m must be finite"
             )
-    raise_together(points.comm, error)
+    raise_together(points.comm, error or _far_face(points, R, A))
     if points.axisymmetric:
         raise_together(points.comm, error_on_axis(points, points["x0"] + R, np.any(A, axis=1)))
     return R, A
+
+
+def _far_face(points: MaterialPoints, offset: Array, area: Array) -> ParameterError | None:
+    """The error for a face that is far from its point, as where positions are given, or None."""
+    away = np.linalg.norm(offset, axis=1) * np.any(area, axis=1)
+    bad = np.flatnonzero(away > _FARTHEST * points["l0"].max(axis=1, initial=0.0))
+    if not bad.size:
+        return None
+    p = bad[0]
+    return ParameterError(
+        f"offset = {offset[p]} m of the point at {points['x'][p]} m is longer than {_FARTHEST:g} "
+        f"times the half-length of its domain, {points['l0'][p].max():.4g} m ({bad.size} such "
+        "points on this rank): it is the way from the point's centre to its face, the place of the "
+        "face less points['x']"
+    )
 
 
 def numbers_of(what: str, values: Any) -> Array:

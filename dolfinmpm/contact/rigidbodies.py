@@ -42,7 +42,7 @@ class RigidBodies:
 
     Raises:
         FormError: Points touch a body in two contacts at once.
-        ParameterError: A body's motion does not begin at its shape.
+        ParameterError: A body's motion does not begin at its shape, or two bodies have one name.
     """
 
     def __init__(self, contacts: Sequence[RigidContact]):
@@ -70,6 +70,7 @@ class RigidBodies:
             if not any(contact.body is body for body in self.all):
                 contact.body.check_start()
                 self.all.append(contact.body)
+        _refuse_namesakes(self.all)
 
     @property
     def free(self) -> list[RigidBody]:
@@ -327,3 +328,14 @@ def _same(one: RigidContact, other: RigidContact) -> bool:
     if one.tags is not None and other.tags is not None and not set(one.tags) & set(other.tags):
         return False
     return one.surface is other.surface or one.surface is None or other.surface is None
+
+
+def _refuse_namesakes(bodies: Sequence[RigidBody]) -> None:
+    """Raise ParameterError if two bodies have one name: records of steps would lack one."""
+    for one, other in itertools.combinations(bodies, 2):
+        if one.name == other.name:
+            raise ParameterError(
+                f"two rigid bodies have the name '{one.name}', and record.bodies['{one.name}'] "
+                "would be of the last one only: give each a name of its own, "
+                "mpm.RigidBody(..., name=...)"
+            )

@@ -154,7 +154,7 @@ class RigidContact(Term):
             points.add_field(names.slip_area, (count,), "m^(d-1)")
         cell = self.u._dolfinmpm_space.finest_cell
         if self.law.stiffness is not None:
-            self._refuse_soft(declarations, cell)
+            self._refuse_far(declarations, cell)
             return
         points.add_field(names.modulus, (), "Pa")
         if self._cell is None:
@@ -186,13 +186,13 @@ class RigidContact(Term):
             young = found[:, 1] * (2 * found[:, 1] + 3 * lame) / whole
         return np.where(whole > 0, young, 0.0)
 
-    def _refuse_soft(self, declarations: Sequence[Declaration], cell: float) -> None:
-        """Raise ParameterError if κ is far too small for the softest point. Collective."""
+    def _refuse_far(self, declarations: Sequence[Declaration], cell: float) -> None:
+        """Raise ParameterError if κ is far from that of the softest point. Collective."""
         E = self._young(declarations)
         E = E[(E > 0.0) & (self.chosen() if self.tags is not None else True)]
         least = float(E.min(initial=np.inf))
         least = self.points.comm.allreduce(least, op=MPI.MIN)
-        self.law.refuse_soft(repr(self), least if np.isfinite(least) else 0.0, cell)
+        self.law.refuse_far(repr(self), least if np.isfinite(least) else 0.0, cell)
 
     def on(self, here: Activation) -> ActiveRigidContact:
         """See `Term`. Collective."""

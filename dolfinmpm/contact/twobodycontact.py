@@ -169,7 +169,7 @@ class TwoBodyContact(Term):
                 )
         both = 2.0 * moduli[0] * moduli[1] / (sum(moduli) or 1.0)
         if self.law.stiffness is not None:
-            self.law.refuse_soft(repr(self), both, cell)
+            self.law.refuse_far(repr(self), both, cell)
             return
         self.stiffness = self.law.penalty * both / cell
 

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.argumentchecks import is_endless, number
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm._platform.garbagecollector import free_petsc
 from dolfinmpm.body.loadbalance import balance, imbalance
@@ -22,7 +21,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time, set_velocities
 from dolfinmpm.dynamics.energies import fastest_point
-from dolfinmpm.dynamics.explicitbase import ExplicitStep
+from dolfinmpm.dynamics.explicitbase import ExplicitStep, checked_courant
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.bodyrecords import BodyRecords
@@ -183,9 +182,7 @@ class ExplicitCall:
     def _begin(self) -> Set[str]:
         """Begin the call; returns the fields changed since the last call. Collective."""
         problem, memory = self._problem, self._memory
-        if not is_endless(problem.courant):
-            # a script may have set it since
-            number("courant", problem.courant, 0.0)
+        checked_courant(problem.courant)  # a script may have set it since
         conditions = problem.essential_conditions
         check_loads(problem.loads.items, problem.form.given, conditions, problem.comm)
         problem._check_still_valid()

@@ -106,7 +106,15 @@ def read_table(path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[
             except (json.JSONDecodeError, UnicodeDecodeError) as error:
                 raise ParameterError(f"'{path}' is no table in JSON: {error}") from error
         with path.open(newline="", encoding="utf-8") as file:
-            return [{k: _value(v) for k, v in row.items()} for row in csv.DictReader(file)]
+            table = csv.DictReader(file)
+            names = list(table.fieldnames or ())
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise ParameterError(
+                    f"'{path}' has the column '{twice[0]}' twice, and a row has one figure by each "
+                    "name: rename one"
+                )
+            return [{k: _value(v) for k, v in row.items()} for row in table]
 
     return call_on_root(comm, read)
 

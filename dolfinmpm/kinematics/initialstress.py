@@ -18,7 +18,9 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm._platform.units import refuse_kilonewtons
 from dolfinmpm.body.pointchecks import seal_stress
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.userfunctions import call_function
 from dolfinmpm.kinematics.deposits import check_dimension
 from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
@@ -111,8 +113,10 @@ def _state(formulation: StrainFormulation, sigma: Array, rows: Rows) -> Array:
         )
     with np.errstate(over="ignore", invalid="ignore"):
         value = np.exp(2.0 * strain) if formulation.multiplicative else strain
-    if not np.isfinite(value).all():
-        p = int(np.argmin(np.isfinite(value).all(axis=1)))
+    # the square of a stretch is 0 where the strain is far below any
+    possible = np.isfinite(value) & ((value > 0.0) | (not formulation.multiplicative))
+    if not possible.all():
+        p = int(np.argmin(possible.all(axis=1)))
         raise StateError(
             f"{type(law).__name__}: the principal stresses {principal[p].tolist()} Pa of point "
             f"{points['id'][rows[p]]} at {points['x'][rows[p]]} m need infinite strains; "
@@ -163,6 +167,8 @@ def write_stress(
     """
     points, rows = formulation.points, formulation.rows if rows is None else rows
     sigma = call_together(points.comm, lambda: _given(formulation, stress, rows))
+    if callable(stress):
+        _refuse_nothing(points, sigma, rows)
     if formulation.from_stress:
         raise_together(points.comm, _beyond_strength(formulation, sigma, rows))
     else:
@@ -172,6 +178,25 @@ def write_stress(
     points["stress"][rows] = sigma
     points["moved_under"][rows] = MARKS[formulation.strain] + GIVEN
     seal_stress(points)
+
+
+def _refuse_nothing(points: MaterialPoints, sigma: Array, rows: Rows) -> None:
+    """Raise ParameterError if a function of positions gives no point a stress. Collective.
+
+    Points above the surface of the ground have none, as where a depth was given for its height.
+    """
+    up = points["x"][rows, -1]
+    ends = np.array(
+        [-up.min(initial=np.inf), up.max(initial=-np.inf), np.abs(sigma).max(initial=0.0)]
+    )
+    points.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MAX)
+    if ends[2] == 0.0 and np.isfinite(ends[0]):
+        raise ParameterError(
+            f"the function of the stress gives 0 at all points, which lie from {-ends[0]:.4g} to "
+            f"{ends[1]:.4g} m along the last axis. The surface of the ground is a height in the "
+            "grid, not a depth; points above it have no stress. For no stress at all give "
+            "np.zeros((3, 3))"
+        )
 
 
 def take_stress(formulation: StrainFormulation, law: str) -> None:
@@ -281,6 +306,8 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
         if not callable(value):
             number(name, value)
             checked(name, value, low)
+    if not callable(weight):
+        refuse_kilonewtons("weight", float(weight))
     both = not (callable(surface) or callable(weight))
     if both and float(surface) > 100 * max(float(weight), 10.0):  # type: ignore[arg-type]
         raise ParameterError(

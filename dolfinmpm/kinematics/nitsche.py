@@ -53,7 +53,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.formsigns import signed_form
-from dolfinmpm.body.markergeometry import WITHIN, share_within
+from dolfinmpm.body.markergeometry import WITHIN, share_within, volumes_beside
 from dolfinmpm.body.surfaceloads import area_at_end, own_grid, pressure_of
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import begin_at_zero, first_step_share, mark_moving, own_constant
@@ -304,7 +304,7 @@ def refuse_within(boundary: Boundary, method: str, tags: Sequence[int] | None = 
         tags: Tags of the points that move with the condition's field, or None for all points.
     """
     points, markers = boundary.points, boundary.markers
-    share = share_within(points, markers["x"], markers["area"], tags)
+    share = share_within(*volumes_beside(points, markers["x"], markers["area"], tags))
     if share > WITHIN:
         raise ParameterError(
             f"{100 * share:.0f} % of the boundary '{boundary.name}' run through the body, with "

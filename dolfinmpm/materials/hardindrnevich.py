@@ -8,6 +8,7 @@ import numpy as np
 
 from dolfinmpm._platform.argumentchecks import number, refuse_idle, shown, whole
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import refuse_kilopascals
 from dolfinmpm.materials.cyclickernel import PROPERTIES, cyclic_address
 from dolfinmpm.materials.druckerprager import cone
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
@@ -19,6 +20,8 @@ _COMPONENTS = ("11", "22", "33", "12", "13", "23")
 
 # Reversals that a point can keep
 _MOST_REVERSALS = 1000
+# Reference strain that no soil has: clay of the highest plasticity has some 0.005
+_LARGEST_STRAIN = 0.03
 
 
 class HardinDrnevich(UMAT):
@@ -107,6 +110,12 @@ class HardinDrnevich(UMAT):
             raise ParameterError(
                 "HardinDrnevich takes numbers: for other parameters at some points make a further "
                 "law, and give both to points by tags"
+            )
+        refuse_kilopascals("HardinDrnevich: reference_pressure", reference_pressure)
+        if reference_strain > _LARGEST_STRAIN:
+            raise ParameterError(
+                f"HardinDrnevich: reference_strain = {reference_strain:g} must be at most "
+                f"{_LARGEST_STRAIN:g}: that of soil is 1e-5 to 1e-2. It is a strain, not per cent"
             )
         number("HardinDrnevich: cohesion", cohesion, 0.0, math.inf, "Pa", closed=True)
         if cohesion == 0.0 and friction_angle == 0.0:

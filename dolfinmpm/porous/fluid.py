@@ -15,6 +15,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.argumentchecks import Tags, is_endless, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm._platform.uncopied import unchanged
+from dolfinmpm._platform.units import refuse_number_of
 from dolfinmpm.body.points import MaterialPoints, PointField
 
 __all__ = ["Fluid", "kozeny_carman", "refuse_hollow", "refuse_light"]
@@ -22,6 +23,10 @@ __all__ = ["Fluid", "kozeny_carman", "refuse_hollow", "refuse_light"]
 Permeability = Callable[[Any, Any], Expr]
 # Numbers of water's unit weight (kN/m³ and N/m³) that scripts give for its density
 _UNIT_WEIGHTS = (9.8, 9.807, 9.81, 9800.0, 9807.0, 9810.0)
+# Ranges of numbers that are water's bulk modulus in other units
+_BULK_MODULI = {"GPa": (1.9, 2.5), "MPa": (1.9e3, 2.5e3)}
+# Density (kg/m³) below that of all liquids; liquid hydrogen has 71
+_LIGHTEST = 50.0
 
 
 @unchanged()
@@ -37,7 +42,8 @@ class Fluid:
         bulk_modulus: Bulk modulus K_w (Pa), infinite for an incompressible fluid.
 
     Raises:
-        ParameterError: A number is not positive, or the density is a unit weight.
+        ParameterError: A number is not positive, or is that of another unit: a unit weight or t/m³
+            for the density, MPa or GPa for the bulk modulus.
 
     >>> import dolfinmpm as mpm
     >>> mpm.Fluid().unit_weight, mpm.Fluid(bulk_modulus=2.2e9).compressible
@@ -59,6 +65,14 @@ class Fluid:
             )
         if not is_endless(self.bulk_modulus):
             number("bulk_modulus", self.bulk_modulus, 0.0, unit="Pa")
+            for unit in _BULK_MODULI:
+                told = f"Pa is the number of water's in {unit}: give 2.2e9 Pa"
+                refuse_number_of("bulk_modulus", self.bulk_modulus, *_BULK_MODULI[unit], told)
+        elif self.density < _LIGHTEST and self.gravity > 9.0:
+            raise ParameterError(
+                f"density = {self.density:g} kg/m³ is that of no liquid: give water's, 1000.0 "
+                "kg/m³, and not 1 t/m³. A gas needs its bulk_modulus (Pa)"
+            )
 
     @property
     def unit_weight(self) -> float:

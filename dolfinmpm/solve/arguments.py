@@ -184,6 +184,19 @@ def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None
     whole("max_halvings", max_halvings, 0)
 
 
+def checked_share(share: Any) -> float:
+    """The first substep's share of a step, which a script may have set.
+
+    Raises:
+        ParameterError: It is not above 0, or it is above 1.
+    """
+    if number("share", share, 0.0) > 1.0:
+        raise ParameterError(
+            f"share = {share:g} is the first substep's share of a step, and must be at most 1"
+        )
+    return float(share)
+
+
 # -- options ------------------------------------------------------------------
 
 

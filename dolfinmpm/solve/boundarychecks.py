@@ -12,12 +12,19 @@ import ufl
 from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 
-from dolfinmpm._platform.errors import BuriedLoadWarning, FormError, HeldLoadWarning, warn
+from dolfinmpm._platform.errors import (
+    BuriedLoadWarning,
+    FormError,
+    HeldLoadWarning,
+    IdleConditionWarning,
+    warn,
+)
 from dolfinmpm._platform.plainvalues import plain_value
+from dolfinmpm._platform.units import FAR_MODULI
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formsigns import MARK, PRESSURE
-from dolfinmpm.body.markergeometry import WITHIN, share_within
+from dolfinmpm.body.markergeometry import WITHIN, share_within, volumes_beside
 from dolfinmpm.body.points import PointField
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CarriedField
@@ -60,6 +67,7 @@ def check_boundary_conditions(
     Warns:
         HeldLoadWarning: A load acts on a face that Nitsche's method holds.
         BuriedLoadWarning: A load acts on a boundary through the body.
+        IdleConditionWarning: A load acts on a boundary beside which there is no point.
     """
     for of in boundaries:
         _warn_within(of, form)
@@ -71,6 +79,8 @@ def check_boundary_conditions(
                     "and points: leave one out, or give them tags or directions of their own"
                 )
         for condition in of.conditions:
+            if isinstance(condition, Wall) and condition.declaration is not None:
+                _check_modulus(condition, declarations)
             if isinstance(condition, WeakCondition) and condition.exact:
                 _check_law(condition, declarations)
                 _check_sides(condition, declarations)
@@ -79,7 +89,7 @@ def check_boundary_conditions(
 
 
 def _warn_within(of: BoundaryTerm, form: ufl.Form) -> None:
-    """Warn if a pressure or traction acts on a boundary through the body. Collective.
+    """Warn if a pressure or traction acts on a boundary through the body, or far off. Collective.
 
     The body on both sides carries such a load. The wall of a cavity is not within the body: the
     cavity has no points.
@@ -91,7 +101,16 @@ def _warn_within(of: BoundaryTerm, form: ufl.Form) -> None:
     if not loads:
         return
     points, markers = boundary.points, boundary.markers
-    share = share_within(points, markers["x"], markers["area"], of.tags)
+    amounts, sizes = volumes_beside(points, markers["x"], markers["area"], of.tags)
+    if not amounts.any():
+        warn(
+            points.comm,
+            f"{loads[0]} acts on nothing: no material point is beside '{boundary.name}' now. Give "
+            "the line or surface at which the body ends, or leave the load out until the body is "
+            "there",
+            IdleConditionWarning,
+        )
+    share = share_within(amounts, sizes)
     if share > WITHIN:
         warn(
             points.comm,
@@ -147,6 +166,33 @@ def _check_law(condition: WeakCondition, declarations: Sequence[Declaration]) ->
         raise FormError(
             f"the condition (mpm.dirichlet) at '{name}' has strain = \"{own.strain}\", and the "
             f'body there strain = "{near[0].strain}": give both the same'
+        )
+
+
+def _modulus(law: Any) -> float | None:
+    """Young's modulus of a law (Pa), if it is one number."""
+    E = getattr(law, "values", {}).get("E")
+    return float(E) if isinstance(E, (int, float)) else None
+
+
+def _check_modulus(wall: Wall, declarations: Sequence[Declaration]) -> None:
+    """Raise FormError if the law of a wall, which scales its penalty, is far from the body's.
+
+    The body would sink into the wall by as much: a block of E = 1e6 Pa by 0.04 m with a law of
+    1e3 Pa, and no message would tell it.
+    """
+    own = wall.declaration
+    assert own is not None
+    near = [d for d in declarations if d.u is own.u and _overlap(d.tags, own.tags)]
+    moduli = [E for E in (_modulus(d.law) for d in near) if E is not None]
+    given = _modulus(own.law)
+    if given is None or not moduli or len(moduli) < len(near):
+        return
+    if not min(moduli) / FAR_MODULI <= given <= max(moduli) * FAR_MODULI:
+        raise FormError(
+            f"the wall (mpm.signorini) at '{wall.boundary.name}' has the penalty of {own.law!r}, "
+            f"and the body there the law {near[0].law!r} ({in_words(near[0].tags)}): give the "
+            "body's law, or a stiffness_per_area (Pa/m) in its place"
         )
 
 

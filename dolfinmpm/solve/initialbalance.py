@@ -87,7 +87,7 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
             f"problem = {type(problem).__name__}(...): its steps have a length; bring the points "
             "into balance with an mpm.QuasiStatic of the same form, and go on with this one"
         )
-    number("tolerance", tolerance, 0.0), whole("most", most, 1)
+    number("tolerance", tolerance, 0.0, 1.0), whole("most", most, 1)
     points = problem.points
     check_undeformed(points, "bring a body into balance")
     before = len(problem.history)

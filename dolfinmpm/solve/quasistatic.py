@@ -25,7 +25,7 @@ from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve import failures
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.agreement import of_step
-from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points
+from dolfinmpm.solve.arguments import check_limits, check_petsc_options, check_points, checked_share
 from dolfinmpm.solve.bodyrecords import BodyRecords
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.description import size_and_solver
@@ -244,7 +244,7 @@ class QuasiStatic(Problem):
         self.loads.set_target()
         self._record = record = self.scheme.record()
         self._follow_leaves()
-        done, share, whole, releases = 0.0, self.share, False, False
+        done, share, whole, releases = 0.0, checked_share(self.share), False, False
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)

@@ -74,6 +74,11 @@ def reaction(problem: Problem, conditions: Sequence[Condition]) -> Array:
             f"{type(problem).__name__} keeps no reactions; take mpm.Newmark, or read the force of "
             "an mpm.Boundary"
         )
+    if isinstance(conditions, (list, tuple)) and not conditions:
+        raise ParameterError(
+            "conditions = [] are none, and have no reaction: give those of the problem, such as "
+            'mpm.fixed(V, "bottom")'
+        )
     held = problem.essential_conditions
     missing = ParameterError("there are no reactions yet: take a step first, also after `load`")
     raise_together(problem.comm, None if held.has_forces else missing)
