@@ -111,18 +111,22 @@ class PointField(ufl.Coefficient):
             value: First value, see `first`. Collective if it is a function.
             always: Whether the same value is refused too.
         """
-        x0 = self.points["x0"]
+        x0, comm = self.points["x0"], self.points.comm
         other = PointField(self.points, self.name, self.ufl_shape, self.unit, value)
 
         def same() -> bool:
             return np.array_equal(other.first_values(x0), self.first_values(x0), equal_nan=True)
 
-        # functions may differ at the points of some ranks only
-        comm = self.points.comm
-        if callable(value) and not always:
+        if always or callable(self.first) != callable(value):
+            alike = False
+        elif callable(value):
+            # functions may differ at the points of some ranks only
             alike = bool(comm.allreduce(call_together(comm, same), MPI.LAND))
         else:
-            alike = not always and same()
+            # a rank without points has no values to compare
+            one = np.zeros((1, self.points.gdim))
+            given, first = other.first_values(one), self.first_values(one)
+            alike = np.array_equal(given, first, equal_nan=True)
         if not alike:
             raise ParameterError(
                 f"the points have a field '{self.name}' already, and a first value would have no "

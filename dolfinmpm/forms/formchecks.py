@@ -38,6 +38,9 @@ __all__ = [
     "check_signs",
 ]
 
+# Ratio of the modulus of a footing's penalty to that of the body, beyond which its load is rounded
+_STIFFEST = 1e6
+
 
 def check_form(form: Any) -> None:
     """Check a weak form before it is split and compiled.
@@ -199,6 +202,7 @@ def check_laws(form: ufl.Form, points: MaterialPoints) -> None:
                 )
     if moduli and all(isinstance(E, float) for E, _ in moduli):
         _check_given(form, *min(moduli, key=lambda pair: float(pair[0])))
+        _refuse_stiff(form, max(float(E) for E, _ in moduli))
 
 
 def _check_given(form: ufl.Form, E: float, law: Any) -> None:
@@ -219,6 +223,26 @@ def _check_given(form: ufl.Form, E: float, law: Any) -> None:
                 f"{FAR_MODULI:g} times: the footing would sink into the body by itself. Give it "
                 "E=, the Young's modulus of the body, in the unit of the law, or a larger "
                 "stiffness= (Pa/m)"
+            )
+
+
+def _refuse_stiff(form: ufl.Form, E: float) -> None:
+    """Refuse the penalty of a footing whose gaps are lost by rounding.
+
+    Its load follows from them: it was off by 1.5 % with a modulus of 1e7 times that of the law, and
+    had the wrong sign with 1e12 times.
+
+    Args:
+        form: Weak form, as the user wrote it.
+        E: Largest Young's modulus of the laws (Pa).
+    """
+    for field in extract_coefficients(form):
+        given, owner, has = getattr(field, "softest", None) or (E, "", "")
+        if given > _STIFFEST * E:
+            raise ParameterError(
+                f"{owner} has {has}, more than {_STIFFEST:g} times that of the body, {E:.3g} Pa: "
+                "its load follows from gaps, and these would be lost by rounding. Give E=, the "
+                "Young's modulus of the body, and not of the footing"
             )
 
 

@@ -15,6 +15,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import nearest, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.readonce import set_by_user
 from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["Array", "Parameter", "Parametrised", "Value"]
@@ -212,6 +213,12 @@ class Parametrised:
                 f"{name} = {value!r}: {self!r} is a value, and a problem that uses it would not "
                 f"learn of another {name}; make a new law and a new problem with it, which "
                 "compiles nothing anew"
+            )
+        if not hasattr(type(self), name) and set_by_user(type(self), name):
+            raise ParameterError(
+                f"{name} = {shown(value)}: {type(self).__name__} has no attribute {name}, and "
+                f"nothing would read it{nearest(name, self.parameters) or '.'} A law is a value: "
+                "for other parameters make a new law and a new problem with it"
             )
         super().__setattr__(name, value)
 

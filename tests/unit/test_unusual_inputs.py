@@ -163,6 +163,45 @@ def test_whole_lengths_in_place_of_half_lengths():
     make(grid, [[1.0, 1.0], [0.5, 0.5]], 0.01, 1000.0, half_length=0.05)
 
 
+# -- laws, footings, rock ----------------------------------------------------------------
+
+
+def test_an_attribute_that_a_law_does_not_have():
+    for law, name in ((SOIL, "e"), (mpm.materials.NeoHookean(1e6, 0.3), "cohesion")):
+        with pytest.raises(ParameterError, match=f"has no attribute {name}, and nothing would"):
+            setattr(law, name, 5.0)
+    with pytest.raises(ParameterError, match="did you mean cohesion"):
+        mpm.materials.Tresca(1e6, 0.3, 1e3).cohesoin = 5.0
+
+    class Mine(mpm.materials.Hencky):
+        pass
+
+    mine = Mine(1e6, 0.3)
+    mine.note = "a class of the user"
+    assert mine.note
+
+
+def test_a_footing_so_stiff_that_rounding_is_its_load():
+    """It had a load of -8.7 kN in place of 27.3 kN."""
+    s = Block()
+    top = mpm.Surface(s.points, lambda x: np.isclose(x[1], 1.0), normal=(0, 1))
+    settlement = fem.Constant(s.grid, 0.0)
+    for given in ({"E": 1e18}, {"stiffness": 1e30}):
+        foot = mpm.RigidFooting(top, settlement, **given)
+        with pytest.raises(ParameterError, match=r"RigidFooting on .* more than 1e\+06 times that"):
+            s.solver(foot.contact(s.u, s.v))
+    foot = mpm.RigidFooting(top, settlement, E=1e12)
+    problem = s.solver(foot.contact(s.u, s.v))
+    settlement.value = 0.01
+    problem.step()
+    assert foot.load() == pytest.approx(27331.9, rel=1e-4)
+
+
+def test_waves_that_are_faster_than_in_any_rock():
+    with pytest.raises(ParameterError, match=r"p_speed = 1\.5e\+06 m/s .* at most 20000 m/s"):
+        mpm.absorbing(Block().V, "bottom", density=2200.0, p_speed=1.5e6, s_speed=800.0)
+
+
 # -- initial stress, units ---------------------------------------------------------------
 
 
