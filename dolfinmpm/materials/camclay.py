@@ -259,8 +259,9 @@ class CamClay(PressureElastic):
     """
 
     parameters = {
-        "swelling": Parameter("", low=0.0),
-        "compression": Parameter("", low=0.0),
+        # the softest clays have slopes of some 0.5
+        "swelling": Parameter("", low=0.0, high=1.0),
+        "compression": Parameter("", low=0.0, high=1.0),
         "M": Parameter("", low=0.0, high=3.0),
         "mu0": Parameter("Pa", low=0.0, closed=True),
         "alpha": Parameter("", low=0.0, closed=True),

@@ -19,7 +19,7 @@ __all__ = ["PRESSURE_ELASTIC", "PressureElastic", "elastic_tangent", "meridian_t
 Rule = tuple[npt.NDArray[np.bool_], str, str, str]
 
 PRESSURE_ELASTIC = {
-    "swelling": Parameter("", low=0.0),
+    "swelling": Parameter("", low=0.0, high=1.0),
     "mu0": Parameter("Pa", low=0.0, closed=True),
     "alpha": Parameter("", low=0.0, closed=True),
     "reference_pressure": Parameter("Pa", low=0.0),

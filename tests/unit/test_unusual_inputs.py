@@ -181,6 +181,14 @@ def test_an_attribute_that_a_law_does_not_have():
     assert mine.note
 
 
+def test_slopes_of_cam_clay_in_per_cent():
+    given = {"M": 1.0, "mu0": 2e6, "alpha": 0.0}
+    given |= {"reference_pressure": 20e3, "preconsolidation": 60e3}
+    with pytest.raises(ParameterError, match=r"swelling = 2\.0 must be in \(0\.0, 1\.0\)"):
+        mpm.materials.CamClay(swelling=2.0, compression=15.0, **given)
+    mpm.materials.CamClay(swelling=0.02, compression=0.15, **given)
+
+
 def test_a_footing_so_stiff_that_rounding_is_its_load():
     """It had a load of -8.7 kN in place of 27.3 kN."""
     s = Block()
