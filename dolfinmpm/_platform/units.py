@@ -18,8 +18,6 @@ __all__ = [
     "LEAST_PENALTY",
     "friction_coefficient",
     "in_radians",
-    "refuse_kilonewtons",
-    "refuse_kilopascals",
     "refuse_number_of",
     "warn_of_radians",
 ]
@@ -69,18 +67,6 @@ def refuse_number_of(what: str, value: float, low: float, high: float, told: str
     """
     if low <= value <= high:
         raise ParameterError(f"{what} = {value:g} {told}")
-
-
-def refuse_kilonewtons(what: str, weight: float) -> None:
-    """Raise ParameterError for a unit weight of ground (N/m³) that is the number of kN/m³."""
-    told = f"N/m³ is the number of kN/m³: give {1e3 * weight:g} N/m³"
-    refuse_number_of(what, weight, 8.0, 40.0, told)
-
-
-def refuse_kilopascals(what: str, pressure: float) -> None:
-    """Raise ParameterError for the pressure of the atmosphere (Pa) that is the number of kPa."""
-    told = f"Pa is the number of kPa: give {1e3 * pressure:g} Pa"
-    refuse_number_of(what, pressure, 95.0, 105.0, told)
 
 
 def warn_of_radians(what: str, angle: float) -> bool:

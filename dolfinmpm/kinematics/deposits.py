@@ -34,7 +34,7 @@ from dolfinmpm._platform.argumentchecks import (
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.uncopied import Unchanged, unchanged
-from dolfinmpm._platform.units import refuse_kilonewtons, refuse_kilopascals, refuse_number_of
+from dolfinmpm._platform.units import refuse_number_of
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.terrain import Terrain
@@ -54,6 +54,8 @@ _LEAST = 1e-2
 _LARGEST_K0 = 20.0
 # Wet soil of more times the weight of water is given in another unit
 _HEAVIEST = 20.0
+# Unit weight of wet soil that is one in N/m³, and not in kgf/m³
+_NEWTONS = 8e3
 
 
 @unchanged()
@@ -93,7 +95,6 @@ class Layer:
         if not callable(self.bottom) and not is_endless(self.bottom, -1.0):
             number("bottom", self.bottom, unit="m")
         number("unit_weight", self.unit_weight, 0.0, closed=True, unit="N/m³")
-        refuse_kilonewtons("unit_weight", self.unit_weight)
         if number("K0", self.K0, 0.0, closed=True) > _LARGEST_K0:
             raise ParameterError(
                 f"K0 = {self.K0:g} must be at most {_LARGEST_K0:g}; the arguments of mpm.Layer are "
@@ -177,7 +178,8 @@ class Deposit(Unchanged):
                 number(what, height, unit="m" if isinstance(height, float) else "m, or a function")
         number("water_weight", water_weight, 0.0, closed=True, unit="N/m³")
         told = "N/m³ is the number of water's density (kg/m³): give its unit weight, 9810.0 N/m³"
-        refuse_number_of("water_weight", water_weight, 990.0, 1040.0, told)
+        if max(_wet(layer) for layer in layers) > _NEWTONS:
+            refuse_number_of("water_weight", water_weight, 990.0, 1040.0, told)
         if water_table is None:
             refuse_idle("water_weight", water_weight, 9810.0, "there is no water_table")
         heights: list[Any] = [surface, *(layer.bottom for layer in layers)]
@@ -292,7 +294,6 @@ class Deposit(Unchanged):
         """
         number("E_ref", E_ref, 0.0, unit="Pa"), number("exponent", exponent, 0.0, 1.0, closed=True)
         number("p_ref", p_ref, 0.0, unit="Pa"), number("least", least, 0.0, 1.0, closed=True)
-        refuse_kilopascals("p_ref", p_ref)
 
         def E(x: npt.ArrayLike) -> Array:
             share = np.maximum(-self.horizontal_stress(x) / p_ref, least)

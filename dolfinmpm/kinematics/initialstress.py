@@ -18,7 +18,6 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.units import refuse_kilonewtons
 from dolfinmpm.body.pointchecks import seal_stress
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.userfunctions import call_function
@@ -306,8 +305,6 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
         if not callable(value):
             number(name, value)
             checked(name, value, low)
-    if not callable(weight):
-        refuse_kilonewtons("weight", float(weight))
     both = not (callable(surface) or callable(weight))
     if both and float(surface) > 100 * max(float(weight), 10.0):  # type: ignore[arg-type]
         raise ParameterError(

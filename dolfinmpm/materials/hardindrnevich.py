@@ -8,7 +8,6 @@ import numpy as np
 
 from dolfinmpm._platform.argumentchecks import number, refuse_idle, shown, whole
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.units import refuse_kilopascals
 from dolfinmpm.materials.cyclickernel import PROPERTIES, cyclic_address
 from dolfinmpm.materials.druckerprager import cone
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
@@ -111,7 +110,6 @@ class HardinDrnevich(UMAT):
                 "HardinDrnevich takes numbers: for other parameters at some points make a further "
                 "law, and give both to points by tags"
             )
-        refuse_kilopascals("HardinDrnevich: reference_pressure", reference_pressure)
         if reference_strain > _LARGEST_STRAIN:
             raise ParameterError(
                 f"HardinDrnevich: reference_strain = {reference_strain:g} must be at most "
