@@ -67,7 +67,6 @@ class ActiveRigidContact(ActiveContact):
             (m, gdim).
         start: State of the corners at the start of the step.
         now: Forces on the corners.
-        explicit: Whether forces act as explicit steps need them.
         held: Overlap of corners that a fixed side of the grid holds, or None.
         followed: Gaps that are followed from step to step, or None.
     """
@@ -75,7 +74,6 @@ class ActiveRigidContact(ActiveContact):
     pushes = True
     held: HeldCorners | None = None
     followed: FollowedGaps | None = None
-    explicit: bool
     corners: Corners
 
     def __init__(
@@ -95,10 +93,14 @@ class ActiveRigidContact(ActiveContact):
         )
         self.x: Array = c.x.copy()
         self.now = ContactForces.zero(*c.x.shape)
-        self.start = self._at_start(displacement.growth is not None)
-        self.explicit = mean_weights is None and displacement.growth is not None
+        self.start = self._at_start()
         if contact.body.time == 0.0 and not contact.begun:
             warn_at_start(self)
+
+    @property
+    def explicit(self) -> bool:
+        """Whether forces act at the start and at the end of a step in time, not in its mean."""
+        return self.mean_weights is None and self.layout.in_time
 
     def _near_corners(self, x: Array, distance: float) -> Which:
         """Choose the corners near the body, and keep the surface's values at these corners.
@@ -145,7 +147,7 @@ class ActiveRigidContact(ActiveContact):
         probe = self.contact.body.surface.probe(at[c])
         return probe if self.followed is None else self.followed.gaps(probe, c)
 
-    def _at_start(self, in_time: bool) -> ContactStart:
+    def _at_start(self) -> ContactStart:
         """State of the corners at the start of the step."""
         contact, points, c = self.contact, self.contact.points, self.corners
         names, own = contact.names, (c.rows, c.which)
@@ -154,7 +156,7 @@ class ActiveRigidContact(ActiveContact):
         areas = self.layout.areas(c, normal)
         slipping = areas_at_start(self, normal, self._probe[0]) if contact.shares_surface else areas
         k = contact.stiffness_at(c.rows) * areas
-        if in_time:
+        if self.layout.in_time:
             # the stiffness of a touching corner must not change with the normal: the stored
             # energy would change too
             kept = points[names.stiffness][own]

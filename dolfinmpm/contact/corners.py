@@ -39,8 +39,9 @@ from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.familyids import side_signs
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.contactstencils import ContactStencils, growth_by_gradient, mixed
+from dolfinmpm.contact.contactstencils import ContactStencils
 from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_parts
+from dolfinmpm.contact.cornermatrices import CornerMatrices
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 
 __all__ = ["ALL", "CornerLayout", "Corners", "corner_count", "longest"]
@@ -100,6 +101,7 @@ class CornerLayout:
         self._points, self._displacement = points, displacement
         self._surface = surface
         self._F: Array = in_section(points, points["F"])
+        self._matrices = CornerMatrices(points, displacement, self._F)
         self._by_middle = surface is not None and surface.normal is None
         # whether corners use the functions at their positions, and whether domains give positions
         averaged = displacement.basis.averaged and not displacement.total
@@ -119,6 +121,11 @@ class CornerLayout:
         self.which: Rows = np.arange(1 if self._by_middle else len(signs))
         if surface is not None and surface.normal is not None:
             self.which = np.flatnonzero(signs @ surface.normal > 0)
+
+    @property
+    def in_time(self) -> bool:
+        """Whether steps have inertia."""
+        return self._displacement.growth is not None
 
     def reach(self, rows: Which = ALL) -> Array:
         """Largest distance of a point's corners from its centre (m), shape (points,)."""
@@ -231,13 +238,17 @@ class CornerLayout:
             x, M = self._on_faces(each, which, normals())
             share = follow(each, which, x)
             if share is not None and share.any():
-                M = self._with_domains(M, each, x, share)
+                M = self._matrices.with_domains(M, each, x, share)
         elif self.boxes:
-            M = self._matrix_of_growth(each, how)
+            M = self._matrices.of_growth(each, how)
         elif self._by_ends:
             M = self._at_ends(each, how)
+            share = follow(each, which, x)
+            if share is not None and share.any():
+                M = scipy.sparse.diags(1.0 - share) @ M
+                M = M + scipy.sparse.diags(share) @ self._matrices.by_gradient(each, how)
         else:
-            M = self._matrix_by_gradient(each, how)
+            M = self._matrices.by_gradient(each, how)
         stencils = ContactStencils.of(M, self._displacement.columns)
         place = self._displacement.place
         if place is not None:
@@ -279,7 +290,7 @@ class CornerLayout:
         M = M if C is None else scipy.sparse.csr_matrix(M @ C)
         rest = r - inside
         if np.any(np.abs(rest) > _ROUNDING * half):
-            M = M + self._matrix_by_gradient(each, rest, value=False)
+            M = M + self._matrices.by_gradient(each, rest, value=False)
         return x + r, M
 
     def _at_ends(self, each: Rows, reach: Array) -> scipy.sparse.csr_matrix:
@@ -298,7 +309,7 @@ class CornerLayout:
         M = stencil_matrix(s, s.N, (len(each), basis.nodes.size))
         M = M if C is None else scipy.sparse.csr_matrix(M @ C)
         if np.any(np.abs(rest) > _ROUNDING * points["l"][each]):
-            M = M + self._matrix_by_gradient(each, rest, value=False)
+            M = M + self._matrices.by_gradient(each, rest, value=False)
         return M
 
     def _in_cells(
@@ -342,74 +353,6 @@ class CornerLayout:
         r = np.einsum("cij,cj->ci", self._F[each], R)
         # gradients at initial positions need initial offsets
         return points["x"][each] + r, R if self._displacement.total else r
-
-    def _matrix_by_gradient(
-        self, each: Rows, along: Array, value: bool = True
-    ) -> scipy.sparse.csr_matrix:
-        """Stencils of corners from the stencils of their points, continued by the gradient.
-
-        Args:
-            each: Point of each corner, shape (m,).
-            along: Offset of each corner from its point (m), shape (m, gdim).
-            value: False for the parts of the gradients alone.
-        """
-        N, *dN = self._stencils(each)[2:]
-        data = N.data.copy() if value else np.zeros_like(N.data)
-        for k, part in enumerate(dN):
-            data += np.repeat(along[:, k], np.diff(N.indptr)) * part
-        return self._prolonged(N, data)
-
-    def _matrix_of_growth(self, each: Rows, at: Array) -> scipy.sparse.bsr_matrix:
-        """Stencils of places in domains that grow with their points' gradients.
-
-        Args:
-            each: Point of each place, shape (m,).
-            at: Offset of each place from its point, by half-lengths of the domain, shape (m, gdim).
-        """
-        d, points, growth = self._points.gdim, self._points, self._displacement.growth
-        assert growth is not None
-        rows, own, N, *dN = self._stencils(each)
-        T = growth_by_gradient(self._F[rows], points["l0"][rows], growth)
-        T = at[:, :, None, None] * T[own]
-        length = np.diff(N.indptr)
-        W = N.data[:, None, None] * np.eye(d)
-        for k, part in enumerate(dN):
-            W += np.repeat(T[:, :, :, k], length, axis=0) * part[:, None, None]
-        return self._prolonged(N, W)
-
-    def _with_domains(
-        self, M: scipy.sparse.csr_matrix, each: Rows, x: Array, share: Array
-    ) -> scipy.sparse.bsr_matrix:
-        """Stencils of parts of faces at x that move with the domains by a share, shape (m,)."""
-        points, moved = self._points, np.flatnonzero(share)
-        rows = each[moved]
-        at = (x[moved] - points["x"][rows]) / points["l"][rows]
-        return mixed(M, self._matrix_of_growth(rows, at), moved, share)
-
-    def _stencils(self, each: Rows) -> list[Any]:
-        """The distinct points, the point of each corner, N, and ∂N/∂x_k as its data."""
-        rows, own = np.unique(each, return_inverse=True)
-        s = self._displacement.stencils(rows)
-        shape = rows.size, self._displacement.basis.nodes.size
-        # numbers of the entries, so that one matrix serves value and gradient
-        N = stencil_matrix(s, np.arange(s.N.size, dtype=np.float64), shape)[own]
-        entry = N.data.astype(np.intp)
-        N.data = s.N[entry]
-        return [rows, own, N, *s.dN[entry].T]
-
-    def _prolonged(self, N: scipy.sparse.csr_matrix, data: Array) -> Any:
-        """A matrix of N's pattern on the independent nodes, with numbers or blocks."""
-        C, d = self._displacement.C, self._points.gdim
-        if data.ndim == 1:
-            M = scipy.sparse.csr_matrix((data, N.indices, N.indptr), shape=N.shape)
-            return M if C is None else scipy.sparse.csr_matrix(M @ C)
-        shape = N.shape[0] * d, N.shape[1] * d
-        B = scipy.sparse.bsr_matrix((data, N.indices, N.indptr), shape=shape)
-        if C is None:
-            return B
-        blocks = C.data[:, None, None] * np.eye(d)
-        shape = C.shape[0] * d, C.shape[1] * d
-        return B @ scipy.sparse.bsr_matrix((blocks, C.indices, C.indptr), shape=shape)
 
 
 def longest(half: Array) -> Array:
