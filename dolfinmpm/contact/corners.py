@@ -12,8 +12,9 @@ of this part, and uses the averages of the functions over it: as the load of a `
 with a plane along the grid's axes is then in balance with a uniform stress. Towards an oblique
 plane the part is smaller. It vanishes at 45°, where only the corner itself touches. Its nodes are
 nodes of its point. So contact makes no further nodes active and adds no couplings. With other bases
-a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In steps in time every corner
-moves with its point's new state, see `dolfinmpm.contact.contactstencils`.
+a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In steps in time gaps of parts of
+faces are followed from step to step, see `dolfinmpm.contact.followedgaps`. Other corners move with
+the new states of their points, see `dolfinmpm.contact.contactstencils`.
 
 If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
 touches with its middle, whose functions are those of a load on this face, so that it is in balance
@@ -107,8 +108,9 @@ class CornerLayout:
         averaged = displacement.basis.averaged and not displacement.total
         placed, static = averaged and not self._by_middle, displacement.growth is None
         self.boxes = placed and not material
-        by_face = static or (displacement.followed and not material)
-        self.on_faces = placed and by_face
+        # corners of material in time turn with it, unless only a marked face touches
+        by_face = displacement.followed and (surface is not None or not material)
+        self.on_faces = placed and (static or by_face)
         # whether middles of faces take the functions at the ends of domains
         self._by_ends = averaged and self._by_middle and (static or displacement.followed)
         # corners of material that shears without bound move away from its volume
@@ -234,19 +236,14 @@ class CornerLayout:
         k = kept(x)
         each, which, x, how = each[k], which[k], x[k], how[k]
         M: Any
-        if self.on_faces:
-            x, M = self._on_faces(each, which, normals())
-            share = follow(each, which, x)
-            if share is not None and share.any():
-                M = self._matrices.with_domains(M, each, x, share)
+        if self.on_faces or self._by_ends:
+            if self.on_faces:
+                x, M = self._on_faces(each, which, normals())
+            else:
+                M = self._at_ends(each, how)
+            M = self._followed(M, each, x, follow(each, which, x))
         elif self.boxes:
             M = self._matrices.of_growth(each, how)
-        elif self._by_ends:
-            M = self._at_ends(each, how)
-            share = follow(each, which, x)
-            if share is not None and share.any():
-                M = scipy.sparse.diags(1.0 - share) @ M
-                M = M + scipy.sparse.diags(share) @ self._matrices.by_gradient(each, how)
         else:
             M = self._matrices.by_gradient(each, how)
         stencils = ContactStencils.of(M, self._displacement.columns)
@@ -254,6 +251,16 @@ class CornerLayout:
         if place is not None:
             stencils = replace(stencils, nodes=place[stencils.nodes])
         return Corners(each, which, x, stencils)
+
+    def _followed(self, M: Any, each: Rows, x: Array, share: Array | None) -> Any:
+        """Stencils of faces at x that move with their domains or points by a share, or None."""
+        if share is None or not share.any():
+            return M
+        if self.boxes:
+            return self._matrices.with_domains(M, each, x, share)
+        own = self._matrices.by_gradient(each, x - self._points["x"][each])
+        rest, part = (scipy.sparse.diags(values) for values in (1.0 - share, share))
+        return scipy.sparse.csr_matrix(rest @ M + part @ own)
 
     def _on_faces(
         self, each: Rows, which: Rows, normal: Array
