@@ -139,7 +139,8 @@ def _rows(gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: 
     rows["half_length"] = checked("half_length", half_length, (n, gdim))
     size = rows["volume"] / ring(at[:, 0], 1.0) if axisymmetric else rows["volume"]
     larger = np.prod(2.0 * rows["half_length"], axis=1) / size
-    if n and larger.min() > _LARGER:
+    # negative ones are refused below
+    if n and rows["half_length"].min() > 0.0 and larger.min() > _LARGER:
         raise ParameterError(
             f"half_length = {rows['half_length'][0]} m of row 0 makes a domain of {larger[0]:.3g} "
             f"times the point's volume, and all domains are more than {_LARGER:g} times as large: "

@@ -12,9 +12,9 @@ of this part, and uses the averages of the functions over it: as the load of a `
 with a plane along the grid's axes is then in balance with a uniform stress. Towards an oblique
 plane the part is smaller. It vanishes at 45°, where only the corner itself touches. Its nodes are
 nodes of its point. So contact makes no further nodes active and adds no couplings. With other bases
-a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In steps in time gaps of parts of
-faces are followed from step to step, see `dolfinmpm.contact.followedgaps`. Other corners move with
-the new states of their points, see `dolfinmpm.contact.contactstencils`.
+a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In steps in time gaps of parts
+of faces are followed from step to step, see `dolfinmpm.contact.followedgaps`. Other corners move
+with the new states of their points, see `dolfinmpm.contact.contactstencils`.
 
 If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
 touches with its middle, whose functions are those of a load on this face, so that it is in balance
