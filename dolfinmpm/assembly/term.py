@@ -185,6 +185,14 @@ class Term:
             weights: See `dolfinmpm.contact.meanforces`.
         """
 
+    def act(self, weights: Any, follows: bool | None) -> None:
+        """Act as in the steps of one form, if several forms share the term.
+
+        Args:
+            weights: See `start_in_time`.
+            follows: Whether gaps of contact are followed in time; None in steps without time.
+        """
+
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
         """Blocks that are the same for a whole step, by their kind. Collective.
 

@@ -18,7 +18,7 @@ from dolfinmpm.contact.contactpairs import TOUCHES
 from dolfinmpm.contact.contactpoints import ActiveContact, ContactForces, ContactStart
 from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.contactwarnings import warn_at_start
-from dolfinmpm.contact.cornerforces import add_forces_at_end, add_mean_forces
+from dolfinmpm.contact.cornerforces import set_forces_at_end, set_mean_forces
 from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, Rows, Which
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.followedgaps import FollowedGaps
@@ -262,7 +262,7 @@ class ActiveRigidContact(ActiveContact):
         self.now.clear()
         if self.mean_weights is None:
             if c.size:
-                add_forces_at_end(self, c, at, probe, clinging, closing)
+                set_forces_at_end(self, c, at, probe, clinging, closing)
             return
         had_friction = np.any(self.start.tangential != 0.0, axis=1)
         if had_friction.any():
@@ -270,7 +270,7 @@ class ActiveRigidContact(ActiveContact):
             probe = self._probed(c, at)
         self.now.loss[:] = 0.0
         if c.size:
-            self._middle_rotation = add_mean_forces(self, c, at, probe)
+            self._middle_rotation = set_mean_forces(self, c, at, probe)
 
     def internal(self, out: Sequence[Array]) -> bool:
         """See `ActiveTerm`: last computed forces, which resist, −f (N)."""
@@ -337,10 +337,16 @@ class ActiveRigidContact(ActiveContact):
             (names.normal_force, now.normal),
             (names.stiffness, np.where(now.normal > 0.0, self.start.stiffness, 0.0)),
             (names.closing, now.closed),
-            *(self.followed.at_end(names, now.gap, self.held) if self.followed else ()),
+            (names.gap, self._gaps_at_end()),
             *([(names.slip_area, areas_at_end(self))] if shared else ()),
             *(self.held.at_end(names, now) if self.held else ()),
         ]
+
+    def _gaps_at_end(self) -> Array:
+        """Gaps that the next step follows; zeros where it finds them anew (m), shape (m,)."""
+        if self.followed is None:
+            return np.zeros(len(self.x))
+        return self.followed.at_end(self.now.gap, self.held)
 
     def stored(self, before: bool = False) -> float:
         """Energy stored by the penalties (J), on all ranks. Collective.

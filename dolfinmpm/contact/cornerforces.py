@@ -15,13 +15,13 @@ from dolfinmpm.contact.surfaces import Probe
 if TYPE_CHECKING:
     from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
 
-__all__ = ["add_forces_at_end", "add_mean_forces"]
+__all__ = ["set_forces_at_end", "set_mean_forces"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
 
 
-def add_forces_at_end(
+def set_forces_at_end(
     active: ActiveRigidContact, c: Rows, at: Array, probe: Probe,
     clinging: npt.NDArray[np.bool_], closing: Array,
 ) -> None:  # fmt: skip
@@ -53,11 +53,11 @@ def add_forces_at_end(
     now.forces[c] = active.contact.body.pose.directions(found[0])
 
 
-def add_mean_forces(active: ActiveRigidContact, c: Rows, at: Array, probe: Probe) -> Array:
+def set_mean_forces(active: ActiveRigidContact, c: Rows, at: Array, probe: Probe) -> Array:
     """Set the mean forces over the step on some corners; see `dolfinmpm.contact.meanforces`.
 
     Args:
-        active, c, at, probe: See `add_forces_at_end`.
+        active, c, at, probe: See `set_forces_at_end`.
 
     Returns:
         The rotation of the body in the middle of the step, shape (gdim, gdim).

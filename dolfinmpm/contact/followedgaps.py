@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.contact.contactpoints import CornerFields
 from dolfinmpm.contact.surfaces import Probe
 
 if TYPE_CHECKING:
@@ -84,16 +83,12 @@ class FollowedGaps:
         """
         return probe[0] + self.beyond[rows], *probe[1:]
 
-    def at_end(
-        self, names: CornerFields, gap: Array, held: HeldCorners | None
-    ) -> list[tuple[str, Array]]:
-        """The gaps at the end of a step, with the name of their field.
+    def at_end(self, gap: Array, held: HeldCorners | None) -> Array:
+        """The gaps at the end of a step (m), shape (m,); zeros where none was computed.
 
         Args:
-            names: Names of the fields.
             gap: Gaps that make the forces (m), shape (m,); infinite where none was computed.
             held: Overlap of corners that counts as no penetration, which these gaps contain.
         """
-        found = np.isfinite(gap)
         own = gap if held is None else gap - held.now
-        return [(names.gap, np.where(found, own, 0.0))]
+        return np.where(np.isfinite(gap), own, 0.0)

@@ -210,17 +210,6 @@ class RigidBodies:
                 count = min(count, body.ahead(dt, count, limit_of(body, self._limit)))
         return count
 
-    def follow_gaps(self, follows: bool) -> None:
-        """Follow the gaps of the contacts from step to step, or not.
-
-        In the order "usf", forces work on the velocities that strain, and others move the points.
-
-        Args:
-            follows: See `RigidContact`.
-        """
-        for contact in self.contacts:
-            contact.follows = follows
-
     def push(self, contacts: Sequence[ActiveRigidContact], kick: float) -> None:
         """Accelerate the free bodies by the forces at the start of an explicit step. Collective.
 

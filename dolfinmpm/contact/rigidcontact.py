@@ -126,7 +126,10 @@ class RigidContact(Term):
                 f"{self!r} has penetration = {self.law.penetration:g} m, and explicit steps find "
                 "no balance that could bound it: leave it out, and give a larger penalty="
             )
-        self.mean_weights, self.follows = means, True
+
+    def act(self, weights: MeanForceWeights | None, follows: bool | None) -> None:
+        """See `Term`."""
+        self.mean_weights, self.follows = weights, follows
 
     def __repr__(self) -> str:
         return f"the contact with '{self.body.name}'"
@@ -165,9 +168,9 @@ class RigidContact(Term):
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
             E[new] = self._young(declarations)[new]
         error = None
-        mine = np.ones(len(points), bool) if self.tags is None else self.chosen()
-        if not np.all(E[mine] > 0):
-            p = int(np.flatnonzero(mine & ~(E > 0))[0])
+        bad = ~(E > 0) & (True if self.tags is None else self.chosen())
+        if bad.any():
+            p = int(np.flatnonzero(bad)[0])
             error = ParameterError(
                 f"{self!r} takes its penalty from Young's modulus, and no law of the form has one "
                 f"at the point at {points['x'][p]} m: give contact(..., stiffness_per_area=...) in "
@@ -214,13 +217,10 @@ class RigidContact(Term):
 
     def describe(self) -> str:
         """See `Term`."""
-        law = self.law
+        law, water = self.law, ", of the effective pressure" if self.wet else ""
         limit = "" if law.shear_limit is None else f", shear_limit = {law.shear_limit:g}"
-        water = ", of the effective pressure" if self.wet else ""
-        return (
-            f"friction = {law.friction:g}{limit}{water}, penalty = {law.penalty:g}, "
-            f"stiffness_per_area = {law.stiffness}, tag = {self.tags}"
-        )
+        kappa = f"penalty = {law.penalty:g}, stiffness_per_area = {law.stiffness}"
+        return f"friction = {law.friction:g}{limit}{water}, {kappa}, tag = {self.tags}"
 
     def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
         """Which of the given points, or of all points, have the tags of the contact."""

@@ -63,9 +63,9 @@ class TwoBodyContact(Term):
         """See `Term`."""
         return list(zip(self.boundaries, self.u))
 
-    def start_in_time(self, means: MeanForceWeights | None) -> None:
+    def act(self, weights: MeanForceWeights | None, follows: bool | None) -> None:
         """See `Term`."""
-        self.mean_weights = means
+        self.mean_weights = weights
 
     def couple(self, here: ActiveDomain) -> list[Coupling]:
         """See `Term`. Collective."""

@@ -193,7 +193,7 @@ class Explicit(MovingBody, Problem):
         terms = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.form.add(terms)
         self.form.start_in_time(None)
-        self.bodies.follow_gaps(settings.scheme != "usf")
+        self.form.contact_mode = None, settings.scheme != "usf"  # there other velocities work
         self.scheme.settings, self.scheme.terms, self.time = settings, terms, 0.0
         ledger = Ledger(points, self.form, self.bodies, settings.mass_scaling, by_points=True)
         self.balance = EnergyBalance(ledger)
@@ -212,8 +212,8 @@ class Explicit(MovingBody, Problem):
             raise_together(points.comm, collision_error(self, mass, settings))
             self._loop = CollisionSteps(self, settings, sides, collision)
             return
-        unasked = not truth("fused", fused)
-        reason = "fused=False" if unasked else why_not(self, settings, sides, options)
+        own = truth("fused", fused)
+        reason = why_not(self, settings, sides, options) if own else "fused=False"
         if reason is not None:
             self._loop = GeneralSteps(self, settings, sides, reason)
         else:

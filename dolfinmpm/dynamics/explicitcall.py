@@ -202,6 +202,7 @@ class ExplicitCall:
             self._record.migrated += balance(problem.points)
         if touched & _KINETIC or not problem.ledger.started:
             problem.ledger.begin()
+        problem.form.set_contacts()
         self._loop.start(1.0 / self._whole, touched)
         memory.state.time = math.nan
         if not (memory.single and touched <= _NOT_CRITICAL and self._loop.keeps_speed):

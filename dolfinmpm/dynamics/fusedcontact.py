@@ -102,8 +102,8 @@ class NeighbourList:
         self._bounded = self._layout().boxes
         # points that touched keep their forces until the end of the next step
         points, names = self.contact.points, self.contact.names
-        kept = (points[names.normal_force] != 0.0) | (points[names.overlap] != 0.0)
-        self._touched = np.flatnonzero(kept.any(axis=1))
+        kept = [points[name] != 0.0 for name in (names.normal_force, names.overlap, names.gap)]
+        self._touched = np.flatnonzero(np.any(kept, axis=(0, 2)))
 
     def rows(self, path: float) -> Rows:
         """The points, increasing, with the body at the end of the step.
@@ -152,7 +152,7 @@ class NeighbourList:
         for name, values in active.end_state():
             points[name][self._touched] = 0.0
             points[name][c.rows, c.which] = values
-        touch = active.now.normal != 0.0
+        touch = (active.now.normal != 0.0) | np.isfinite(active.now.gap)
         if active.held is not None:
             # corners without a force may keep an overlap
             touch |= active.held.now > 0.0

@@ -64,7 +64,8 @@ class WeakForm:
         softened: Whether there is soft stiffness.
         moduli: Moduli of the laws' tangents at facets, in terms of the form.
         also: Subdomain ids that other forms need on the same activations.
-        contact_weights: Weights of mean contact forces over a step in time, or None.
+        contact_mode: Weights of mean contact forces over a step in time, or None; whether contact
+            follows gaps in time, or None in steps without time.
         ufl_stresses: Stresses of points without a law, from terms in UFL.
         updates: Fields of the points that a step sets to UFL expressions.
         placed: Number of changes of the grid's lines at the last check.
@@ -97,7 +98,7 @@ class WeakForm:
         self.terms: list[Term] = [*self.boundaries, *faces, *self.parts.terms, *grids]
         self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.contact_weights: MeanForceWeights | None = None
+        self.contact_mode: tuple[MeanForceWeights | None, bool | None] = None, None
         self.ufl_stresses: list[UFLStress] = []
         self.updates: Sequence[PointUpdates | UFLStress] = ()
         # none before the first step
@@ -142,9 +143,20 @@ class WeakForm:
             weights: Weights of mean contact forces over a step; None if contact acts at the
                 start of a step.
         """
-        self.contact_weights = weights
+        self.contact_mode = weights, True
         for term in self.terms:
             term.start_in_time(weights)
+        self.set_contacts()
+
+    def set_contacts(self) -> None:
+        """Let contacts act as in the steps of this form; other forms may share them."""
+        for term in self.terms:
+            term.act(*self.contact_mode)
+
+    @property
+    def contact_weights(self) -> MeanForceWeights | None:
+        """Weights of mean contact forces over a step in time, or None."""
+        return self.contact_mode[0]
 
     def on(self, here: Activation) -> tuple[Evaluation, dict[Term, ActiveTerm]]:
         """The points' integrals, and the other terms, on an activation. Collective.
@@ -162,6 +174,7 @@ class WeakForm:
             if self.parts.grid:
                 self.grid.attach(here.fields)
         evaluation = Evaluation(self.regions, self.points, here.unknowns, parts)
+        self.set_contacts()
         found = {term: term.on(here) for term in self.terms}
         return evaluation, {term: one for term, one in found.items() if one is not None}
 

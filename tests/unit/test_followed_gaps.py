@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
@@ -97,6 +98,35 @@ def test_steps_in_time_go_on_with_the_forces_of_static_steps(kind):
         problem.step(2e-3 * (k + 1))
         forces.append(held.force[1])
     np.testing.assert_allclose(forces, disc.force[1], rtol=0.06)
+
+
+def test_problems_in_time_and_without_time_share_a_form():
+    """Static steps after Newmark had half of the force, and Newmark after them twice as much."""
+    points = mpm.fill(lattice((-2, 0), (2, 2)), mpm.Box((-1.5, 0), (1.5, 1)), 2, 1000.0)
+    points.add_field("velocity", (2,), "m/s")
+    V = mpm.Space(points.grid, "gimp")
+    u, v, place, R = V.increment, V.test, fem.Constant(points.grid, (0.0, 0.0)), 1.2 * H
+    disc = mpm.RigidBody(mpm.Disc((0.03, 1 + R), R), displacement=place)
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    F += mpm.contact(disc, points, u, v)
+    bcs = mpm.fixed(V, "bottom")
+    problem = mpm.Newmark(F, u, points, bcs)
+    for k in range(4):
+        place.value[1] = -0.0025 * (k + 1)
+        problem.step(0.02 * (k + 1))
+    for name in ("velocity", "acceleration"):
+        points[name][:] = 0.0
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
+    forces = []
+    for _ in range(3):
+        place.value[1] -= 0.01
+        problem.step()
+        forces.append(disc.force[1])
+    # without the steps in time they are 9853, 16664 and 23566 N/m
+    assert forces == pytest.approx([9853, 16664, 23566], rel=0.01)
+    force = disc.force[1]
+    mpm.Newmark(F, u, points, bcs).step(2e-3)
+    assert disc.force[1] == pytest.approx(force, rel=0.06)
 
 
 def test_gaps_stay_near_the_faces_where_soil_flows():

@@ -283,53 +283,6 @@ def test_ground_starts_at_rest_with_layers_and_water():
             mpm.start_at_rest(problem, ground)
 
 
-def test_water_below_a_sloping_table_drags_the_ground():
-    """A table that falls by 1 in 4 takes γ_w/4 per volume; the fixed base carries it."""
-    grid, fall = lattice(8.0, 4.0), 0.25
-    table = mpm.Terrain(([0, 8],), [4.0, 4.0 - 8 * fall])
-    layer = mpm.Layer(0.0, 18e3, K0=0.5, saturated_unit_weight=20e3)
-    ground = mpm.Deposit(4.0, layer, water_table=table)
-    points = mpm.fill(grid, mpm.Box((0, 0), (8, 1)), 2, ground.density)
-    V = mpm.Space(grid, "gimp")
-    F = mpm.momentum(mpm.materials.Hencky(50e6, 0.3), points, V.increment, V.test)
-    F -= ufl.inner(ground.body_force(points), V.test) * points.dX
-    bcs = mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
-    problem.step()
-    force = mpm.reaction(problem, bcs)
-    assert points["seepage_force"] == pytest.approx(9810 * fall, rel=1e-12)
-    assert force[0] == pytest.approx(-8 * 9810 * fall, rel=1e-9)
-
-
-def test_fill_on_a_deposit_has_a_weight():
-    """New points had no weight, without a message."""
-    grid = lattice(8.0, 6.0)
-    layer = mpm.Layer(0.0, 18e3, K0=0.5, saturated_unit_weight=20e3)
-    ground = mpm.Deposit(4.0, layer, water_table=lambda x: 3.0 - 0.1 * x[0])
-    points = mpm.fill(grid, mpm.Box((0, 0), (8, 4)), 2, ground.density)
-    V = mpm.Space(grid, "gimp")
-    F = mpm.momentum(mpm.materials.Hencky(50e6, 0.3), points, V.increment, V.test)
-    F -= ufl.inner(ground.body_force(points), V.test) * points.dX
-    bcs = mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
-
-    def weight():
-        problem.step()
-        return mpm.reaction(problem, bcs)[1]
-
-    whole = weight()
-    points.remove(points["x0"][:, 1] > 3.0)
-    assert weight() == pytest.approx(whole - 8 * 18e3, rel=1e-6)
-    points.add(mpm.fill(grid, mpm.Box((0, 3), (8, 4)), 2, 1800.0))
-    assert weight() == pytest.approx(whole, rel=1e-6)
-    bank = mpm.fill(grid, mpm.Box((0, 4), (8, 5)), 2, 1900.0)
-    with pytest.raises(ParameterError, match="above the surface of the deposit"):
-        points.add(bank)
-    bank.add_field("effective_weight", (), "N/m^d", 19e3)
-    points.add(bank)
-    assert weight() == pytest.approx(whole + 8 * 19e3, rel=1e-6)
-
-
 # -- rigid beds -----------------------------------------------------------------------------
 
 
