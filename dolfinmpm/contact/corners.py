@@ -32,10 +32,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinmpm.basis import LatticeBasis, LinearBasis
-from dolfinmpm.basis.facestencils import at_ends, in_domains
 from dolfinmpm.basis.gimp import update_domains
-from dolfinmpm.basis.stencils import stencil_matrix
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.familyids import side_signs
 from dolfinmpm.body.points import MaterialPoints
@@ -44,6 +41,7 @@ from dolfinmpm.contact.contactstencils import ContactStencils
 from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_parts
 from dolfinmpm.contact.cornermatrices import CornerMatrices
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
+from dolfinmpm.contact.facefunctions import FaceFunctions
 
 __all__ = ["ALL", "CornerLayout", "Corners", "corner_count", "longest"]
 
@@ -52,10 +50,6 @@ Rows = npt.NDArray[np.integer]
 Which = Rows | slice
 # All points, as rows that copy nothing
 ALL = slice(None)
-# Part of a half-length that is rounding
-_ROUNDING = 1e-12
-# Part of a half-length by which sheared material is beyond its domain
-_SHEARED = 1e-6
 
 
 def corner_count(gdim: int, surface: Surface | None) -> int:
@@ -93,6 +87,7 @@ class CornerLayout:
         which: Numbers of the corners with which a point touches, shape (corners,).
         boxes: Whether corners belong to domains and lie between the nodes of their stencils.
         on_faces: Whether corners stand for parts of faces, and lie in their middles.
+        at_corners: Whether such corners lie at the ends of the parts, not in their middles.
     """
 
     def __init__(
@@ -108,11 +103,13 @@ class CornerLayout:
         averaged = displacement.basis.averaged and not displacement.total
         placed, static = averaged and not self._by_middle, displacement.growth is None
         self.boxes = placed and not material
+        self.on_faces = placed and (static or displacement.followed)
         # corners of material in time turn with it, unless only a marked face touches
-        by_face = displacement.followed and (surface is not None or not material)
-        self.on_faces = placed and (static or by_face)
+        self.at_corners = self.on_faces and material and surface is None and not static
         # whether middles of faces take the functions at the ends of domains
         self._by_ends = averaged and self._by_middle and (static or displacement.followed)
+        if averaged:
+            self._faces = FaceFunctions(points, displacement, self._matrices, self.boxes, self._F)
         # corners of material that shears without bound move away from its volume
         own = surface is None and not (
             material or displacement.total or displacement.basis.averaged
@@ -200,7 +197,7 @@ class CornerLayout:
         """
         edges = self.half_edges(rows) if edges is None else edges
         at = np.ones_like(normal)
-        if self.on_faces:
+        if self.on_faces and not self.at_corners:
             along = normal
             if not (self.boxes or self._keeps_axes):
                 along = self._in_material(rows, normal)
@@ -240,7 +237,7 @@ class CornerLayout:
             if self.on_faces:
                 x, M = self._on_faces(each, which, normals())
             else:
-                M = self._at_ends(each, how)
+                M = self._faces.at_ends(each, how)
             M = self._followed(M, each, x, follow(each, which, x))
         elif self.boxes:
             M = self._matrices.of_growth(each, how)
@@ -265,86 +262,21 @@ class CornerLayout:
     def _on_faces(
         self, each: Rows, which: Rows, normal: Array
     ) -> tuple[Array, scipy.sparse.csr_matrix]:
-        """Middles of the parts of faces that corners stand for, and the averages over them.
+        """Places of the corners on their faces (m), and the functions there.
 
         Args:
             each: Point of each corner, shape (m,).
             which: Number of each corner at its point, shape (m,).
             normal: Normal of the rigid surface at each corner, shape (m, gdim).
         """
-        points, basis, C = self._points, self._displacement.basis, self._displacement.C
         if self._surface is not None:
             normal = np.broadcast_to(self._surface.normal, normal.shape)
         elif not self.boxes:
             normal = self._in_material(each, normal)
-        share = places_on_faces(normal)
-        R = side_signs(points.gdim)[which] * share
-        x, half = points["x"][each], points["l"][each]
-        if self.boxes:
-            r = R * half
-        else:
-            r = np.einsum("cij,cj->ci", self._F[each], R * points["l0"][each])
-        within = np.where(1.0 - share > _ROUNDING, (1.0 - share) * half, 0.0)
-        if self.boxes or not isinstance(basis, LatticeBasis):
-            # beyond the domain the functions are continued by the gradients at the point
-            inside = np.clip(r, within - half, half - within)
-        else:
-            r, within = self._in_cells(basis, each, which, r, within)
-            inside = r
-        assert not isinstance(basis, LinearBasis), "linear functions have no averages"
-        s = in_domains(basis, x + inside, within, x, half)
-        M = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
-        M = M if C is None else scipy.sparse.csr_matrix(M @ C)
-        rest = r - inside
-        if np.any(np.abs(rest) > _ROUNDING * half):
-            M = M + self._matrices.by_gradient(each, rest, value=False)
-        return x + r, M
-
-    def _at_ends(self, each: Rows, reach: Array) -> scipy.sparse.csr_matrix:
-        """Functions at the middles of marked faces, those that `Surface.dX` has for loads.
-
-        Value and gradient at the point are in balance with a uniform stress only while its domain
-        lies in one cell, see `dolfinmpm.basis.facestencils`.
-
-        Args:
-            each: Point of each face, shape (m,).
-            reach: Offset of each face from its point (m), shape (m, gdim).
-        """
-        points, basis, C = self._points, self._displacement.basis, self._displacement.C
-        assert not isinstance(basis, LinearBasis), "linear functions have no averages"
-        s, rest = at_ends(basis, points["x"][each], points["l"][each], reach)
-        M = stencil_matrix(s, s.N, (len(each), basis.nodes.size))
-        M = M if C is None else scipy.sparse.csr_matrix(M @ C)
-        if np.any(np.abs(rest) > _ROUNDING * points["l"][each]):
-            M = M + self._matrices.by_gradient(each, rest, value=False)
-        return M
-
-    def _in_cells(
-        self, basis: LatticeBasis, each: Rows, which: Rows, r: Array, within: Array
-    ) -> tuple[Array, Array]:
-        """Parts of faces of sheared material, which may be beyond the domains of their points.
-
-        A part within the cells of the domain has the functions of these cells. Other corners stand
-        for themselves: they take the functions of the nearest of these cells, continued.
-
-        Args:
-            basis: The basis.
-            each, which: Point of each corner, and number at its point, shape (m,).
-            r, within: Offsets from the points, and half-lengths of the parts (m), shape (m, gdim).
-        """
-        points = self._points
-        x, half = points["x"][each], points["l"][each]
-        first, number = basis.spans(x, half)
-        # ends of domains may be beyond these cells by a sliver, which has no share there
-        beyond = np.abs(r) + within > (1.0 + _SHEARED) * half
-        outside = np.zeros((len(x), 1), bool)
-        for d, line in enumerate(basis.lattice.lines):
-            at, to = first[:, d] + basis.halo.origin[d], x[:, d] + r[:, d]
-            low, high = line[at], line[at + number[:, d]]
-            out = (to - within[:, d] < low) | (to + within[:, d] > high)
-            outside[:, 0] |= out & beyond[:, d]
-        corner = self._material_positions(each, which)[1]
-        return np.where(outside, corner, r), np.where(outside, 0.0, within)
+        signs, share = side_signs(self._points.gdim)[which], places_on_faces(normal)
+        of = self._faces.at_corners if self.at_corners else self._faces.parts
+        r, M = of(each, signs, share)
+        return self._points["x"][each] + r, M
 
     def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and offsets from their points for motion by the gradients."""
