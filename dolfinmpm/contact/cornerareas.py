@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["face_areas", "part_areas", "places_on_faces", "slip_parts"]
+__all__ = ["edges_of_faces", "face_areas", "part_areas", "places_on_faces", "slip_parts"]
 
 Array = npt.NDArray[np.float64]
 
@@ -32,6 +32,31 @@ def face_areas(half: Array, normal: Array) -> Array:
     d = half.shape[1]
     faces = np.stack([np.prod(np.delete(half, i, axis=1), axis=1) for i in range(d)], axis=1)
     return np.asarray(np.sum(np.abs(normal) * faces, axis=1))
+
+
+def edges_of_faces(area: Array, half: Array) -> Array:
+    """Half edges of faces that have an area vector (m), shape (n, d - 1, d).
+
+    In 2D they follow from the area. In 3D a face is taken for a rectangle, as long and wide as the
+    domain of its point is in these directions.
+
+    Args:
+        area: Area vectors (m^(d-1)), shape (n, d).
+        half: Half-lengths of the points' domains (m), shape (n, d).
+    """
+    if area.shape[1] == 2:
+        return np.asarray(0.5 * np.stack([-area[:, 1], area[:, 0]], axis=1)[:, None])
+    size = np.linalg.norm(area, axis=1)
+    normal = np.divide(area, size[:, None], out=np.zeros_like(area), where=size[:, None] > 0.0)
+    # the axis that is most along the face gives the direction of an edge
+    first = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first -= np.sum(first * normal, axis=1)[:, None] * normal
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    edges = np.stack([first, np.cross(normal, first)], axis=1)
+    widths = np.einsum("nki,ni->nk", np.abs(edges), half)
+    whole = 4.0 * np.prod(widths, axis=1)
+    scale = np.sqrt(np.divide(size, whole, out=np.zeros_like(size), where=whole > 0.0))
+    return np.asarray(edges * (scale[:, None] * widths)[:, :, None])
 
 
 def slip_parts(

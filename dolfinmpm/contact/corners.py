@@ -38,7 +38,7 @@ from dolfinmpm.body.familyids import side_signs
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.contactstencils import ContactStencils
-from dolfinmpm.contact.cornerareas import face_areas, places_on_faces, slip_parts
+from dolfinmpm.contact.cornerareas import edges_of_faces, face_areas, places_on_faces, slip_parts
 from dolfinmpm.contact.cornermatrices import CornerMatrices
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.facefunctions import FaceFunctions
@@ -54,7 +54,7 @@ ALL = slice(None)
 
 def corner_count(gdim: int, surface: Surface | None) -> int:
     """Number of corners per point."""
-    return 1 if surface is not None and surface.normal is None else 2**gdim
+    return 2 ** (gdim - 1) if surface is not None and surface.normal is None else 2**gdim
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class CornerLayout:
         flows = displacement.domains != "stretch"
         self._keeps_axes = own and flows and displacement.growth is None
         signs = side_signs(points.gdim)
-        self.which: Rows = np.arange(1 if self._by_middle else len(signs))
+        self.which: Rows = np.arange(corner_count(points.gdim, surface))
         if surface is not None and surface.normal is not None:
             self.which = np.flatnonzero(signs @ surface.normal > 0)
 
@@ -133,10 +133,10 @@ class CornerLayout:
             return _length(points["l"][rows])
         F = self._F[rows]
         size = np.sqrt(np.einsum("pij,pij->p", F, F))
-        R = points["l0"]
-        if self._surface is not None and self._by_middle:
-            R = points[self._surface.offset.name]
-        return size * _length(R[rows])
+        if self._by_middle:
+            offset, edges = self._marked_faces(rows)
+            return size * (_length(offset) + np.sqrt(np.sum(edges**2, axis=(1, 2))))
+        return size * _length(points["l0"][rows])
 
     def marked(self, rows: Which = ALL) -> npt.NDArray[np.bool_] | None:
         """Which points have corners, or None if all do."""
@@ -157,8 +157,14 @@ class CornerLayout:
         """
         points, rows = self._points, corners.rows
         if self._surface is not None:
-            area = np.linalg.norm(points[self._surface.area.name][rows], axis=1)
-            return np.asarray(area / self.which.size)
+            area = points[self._surface.area.name][rows]
+            size = np.linalg.norm(area, axis=1) / self.which.size
+            if not self._by_middle:
+                return np.asarray(size)
+            # the end of a face meets a surface at the corner of a body, and does not face it
+            own = np.linalg.solve(np.swapaxes(self._F[rows], 1, 2), area[:, :, None])[:, :, 0]
+            across = -np.sum(own * normal, axis=1) / np.linalg.norm(own, axis=1)
+            return np.asarray(size * np.clip(across, 0.0, 1.0))
         if not (self.boxes or self._keeps_axes):
             normal = self._in_material(rows, normal)
             normal = normal / np.linalg.norm(normal, axis=1)[:, None]
@@ -204,6 +210,16 @@ class CornerLayout:
             at = places_on_faces(along)
         return slip_parts(edges, normal, side_signs(self._points.gdim)[which], at, gap)
 
+    def _marked_faces(self, rows: Which) -> tuple[Array, Array]:
+        """Initial offsets of marked faces, (n, gdim), and half edges, (n, gdim - 1, gdim) (m)."""
+        points, surface = self._points, self._surface
+        assert surface is not None
+        offset, area = points[surface.offset.name][rows], points[surface.area.name][rows]
+        if points.axisymmetric:
+            around = ring(points["x0"][rows, :1] + offset[:, :1], 1.0)
+            area = np.divide(area, around, out=np.zeros_like(area), where=around > 0.0)
+        return offset, edges_of_faces(area, points["l0"][rows])
+
     def _in_material(self, rows: Rows, normal: Array) -> Array:
         """Normals in the frame of the points' material, of any length."""
         return np.asarray(np.einsum("pij,pi->pj", self._F[rows], normal))
@@ -237,7 +253,9 @@ class CornerLayout:
             if self.on_faces:
                 x, M = self._on_faces(each, which, normals())
             else:
-                M = self._faces.at_ends(each, how)
+                offset = self._marked_faces(each)[0]
+                middle = np.einsum("cij,cj->ci", self._F[each], offset)
+                M = self._faces.at_ends(each, middle, how - middle)
             M = self._followed(M, each, x, follow(each, which, x))
         elif self.boxes:
             M = self._matrices.of_growth(each, how)
@@ -285,8 +303,10 @@ class CornerLayout:
             half = update_domains(self._F[each], points["l0"][each], self._displacement.domains)
             r = side_signs(points.gdim)[which] * half
             return points["x"][each] + r, r
-        if self._surface is not None and self._by_middle:
-            R = points[self._surface.offset.name][each]
+        if self._by_middle:
+            offset, edges = self._marked_faces(each)
+            signs = side_signs(points.gdim - 1)[which]
+            R = offset + np.einsum("ck,cki->ci", signs, edges)
         else:
             R = side_signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)

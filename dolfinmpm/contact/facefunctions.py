@@ -113,18 +113,20 @@ class FaceFunctions:
             matrix = part if matrix is None else matrix + part
         return place, scipy.sparse.csr_matrix(matrix)
 
-    def at_ends(self, each: Rows, reach: Array) -> scipy.sparse.csr_matrix:
-        """Functions at the middles of marked faces, those that `Surface.dX` has for loads.
+    def at_ends(self, each: Rows, reach: Array, along: Array) -> scipy.sparse.csr_matrix:
+        """Functions at places on marked faces, continued from those of `Surface.dX` for loads.
 
         Value and gradient at the point are in balance with a uniform stress only while its domain
         lies in one cell, see `dolfinmpm.basis.facestencils`.
 
         Args:
             each: Point of each face, shape (m,).
-            reach: Offset of each face from its point (m), shape (m, gdim).
+            reach: Offset of the middle of each face from its point (m), shape (m, gdim).
+            along: Way from there to the place on the face (m), shape (m, gdim).
         """
         x, half = self._points["x"][each], self._points["l"][each]
-        return self._continued(*at_ends(self._basis, x, half, reach), each)
+        s, rest = at_ends(self._basis, x, half, reach)
+        return self._continued(s, rest + along, each)
 
     def _continued(self, s: Stencils, rest: Array, each: Rows) -> scipy.sparse.csr_matrix:
         """Functions at some places, continued by the gradients at their points.
