@@ -48,6 +48,8 @@ __all__ = ["ALL", "CornerLayout", "Corners", "corner_count", "longest"]
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
 Which = Rows | slice
+# Places of the two Gauss points on a face, from its middle (0) to its end (1)
+_GAUSS = 3.0**-0.5
 # All points, as rows that copy nothing
 ALL = slice(None)
 
@@ -135,7 +137,7 @@ class CornerLayout:
         size = np.sqrt(np.einsum("pij,pij->p", F, F))
         if self._by_middle:
             offset, edges = self._marked_faces(rows)
-            return size * (_length(offset) + np.sqrt(np.sum(edges**2, axis=(1, 2))))
+            return size * (_length(offset) + _GAUSS * np.sqrt(np.sum(edges**2, axis=(1, 2))))
         return size * _length(points["l0"][rows])
 
     def marked(self, rows: Which = ALL) -> npt.NDArray[np.bool_] | None:
@@ -157,14 +159,8 @@ class CornerLayout:
         """
         points, rows = self._points, corners.rows
         if self._surface is not None:
-            area = points[self._surface.area.name][rows]
-            size = np.linalg.norm(area, axis=1) / self.which.size
-            if not self._by_middle:
-                return np.asarray(size)
-            # the end of a face meets a surface at the corner of a body, and does not face it
-            own = np.linalg.solve(np.swapaxes(self._F[rows], 1, 2), area[:, :, None])[:, :, 0]
-            across = -np.sum(own * normal, axis=1) / np.linalg.norm(own, axis=1)
-            return np.asarray(size * np.clip(across, 0.0, 1.0))
+            area = np.linalg.norm(points[self._surface.area.name][rows], axis=1)
+            return np.asarray(area / self.which.size)
         if not (self.boxes or self._keeps_axes):
             normal = self._in_material(rows, normal)
             normal = normal / np.linalg.norm(normal, axis=1)[:, None]
@@ -306,7 +302,7 @@ class CornerLayout:
         if self._by_middle:
             offset, edges = self._marked_faces(each)
             signs = side_signs(points.gdim - 1)[which]
-            R = offset + np.einsum("ck,cki->ci", signs, edges)
+            R = offset + _GAUSS * np.einsum("ck,cki->ci", signs, edges)
         else:
             R = side_signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)

@@ -64,13 +64,8 @@ class FollowedGaps:
         """
         points, names = contact.points, contact.names
         last = points[names.gap][rows, which]
-        pressed = points[names.normal_force][rows, which] > 0.0
-        goes_on = (last != 0.0) & (pressed | (gap < 0.0))
+        goes_on = (last != 0.0) & ((points[names.normal_force][rows, which] > 0.0) | (gap < 0.0))
         beyond = np.where(goes_on, last - gap, 0.0)
-        if contact.surface is not None and contact.surface.normal is None:
-            # a face that did not face the body was inside without a force: it begins at the body
-            turned = ~pressed & (last < 0.0) & (points[names.overlap][rows, which] == 0.0)
-            beyond[turned] = -gap[turned]
         size = np.abs(beyond) / points["l"][rows].min(axis=1)
         return FollowedGaps(beyond, np.clip((size - _FACE) / (_DOMAIN - _FACE), 0.0, 1.0))
 
