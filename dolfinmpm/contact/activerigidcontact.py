@@ -156,7 +156,7 @@ class ActiveRigidContact(ActiveContact):
         areas = self.layout.areas(c, normal)
         slipping = areas_at_start(self, normal, self._probe[0]) if contact.shares_surface else areas
         k = contact.stiffness_at(c.rows) * areas
-        if self.layout.in_time:
+        if self.layout.in_time and not self.layout.gauss:
             # the stiffness of a touching corner must not change with the normal: the stored
             # energy would change too
             kept = points[names.stiffness][own]

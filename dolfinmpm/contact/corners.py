@@ -13,12 +13,15 @@ with a plane along the grid's axes is then in balance with a uniform stress. Tow
 plane the part is smaller. It vanishes at 45°, where only the corner itself touches. Its nodes are
 nodes of its point. So contact makes no further nodes active and adds no couplings. With other bases
 a corner at x + r moves by u + ∇u·r, as in `dolfinmpm.body.surface`. In steps in time gaps of parts
-of faces are followed from step to step, see `dolfinmpm.contact.followedgaps`. Other corners move
-with the new states of their points, see `dolfinmpm.contact.contactstencils`.
+of faces are followed from step to step, see `dolfinmpm.contact.followedgaps`, and corners of the
+material touch where they are, see `dolfinmpm.contact.facefunctions`. Other corners move with the
+new states of their points, see `dolfinmpm.contact.contactstencils`.
 
 If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
 touches with its middle, whose functions are those of a load on this face, so that it is in balance
-with a uniform stress, too.
+with a uniform stress, too. In steps in time it touches with its two Gauss points (four in 3D):
+middles alone let a body tip about a place within its edge. Without time, two places per face would
+stiffen coarse functions under small contacts.
 """
 
 from __future__ import annotations
@@ -49,7 +52,7 @@ Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
 Which = Rows | slice
 # Places of the two Gauss points on a face, from its middle (0) to its end (1)
-_GAUSS = 3.0**-0.5
+_GAUSS_POINT = 3.0**-0.5
 # All points, as rows that copy nothing
 ALL = slice(None)
 
@@ -90,6 +93,7 @@ class CornerLayout:
         boxes: Whether corners belong to domains and lie between the nodes of their stencils.
         on_faces: Whether corners stand for parts of faces, and lie in their middles.
         at_corners: Whether such corners lie at the ends of the parts, not in their middles.
+        gauss: Whether faces from arrays touch with their Gauss points, not with their middles.
     """
 
     def __init__(
@@ -119,7 +123,10 @@ class CornerLayout:
         flows = displacement.domains != "stretch"
         self._keeps_axes = own and flows and displacement.growth is None
         signs = side_signs(points.gdim)
+        self.gauss = self._by_middle and not static
         self.which: Rows = np.arange(corner_count(points.gdim, surface))
+        if self._by_middle and not self.gauss:
+            self.which = self.which[:1]
         if surface is not None and surface.normal is not None:
             self.which = np.flatnonzero(signs @ surface.normal > 0)
 
@@ -137,7 +144,7 @@ class CornerLayout:
         size = np.sqrt(np.einsum("pij,pij->p", F, F))
         if self._by_middle:
             offset, edges = self._marked_faces(rows)
-            return size * (_length(offset) + _GAUSS * np.sqrt(np.sum(edges**2, axis=(1, 2))))
+            return size * (_length(offset) + _GAUSS_POINT * np.sqrt(np.sum(edges**2, axis=(1, 2))))
         return size * _length(points["l0"][rows])
 
     def marked(self, rows: Which = ALL) -> npt.NDArray[np.bool_] | None:
@@ -301,8 +308,10 @@ class CornerLayout:
             return points["x"][each] + r, r
         if self._by_middle:
             offset, edges = self._marked_faces(each)
-            signs = side_signs(points.gdim - 1)[which]
-            R = offset + _GAUSS * np.einsum("ck,cki->ci", signs, edges)
+            R = offset
+            if self.gauss:
+                signs = side_signs(points.gdim - 1)[which]
+                R = R + _GAUSS_POINT * np.einsum("ck,cki->ci", signs, edges)
         else:
             R = side_signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)
