@@ -110,8 +110,8 @@ class CornerLayout:
         placed, static = averaged and not self._by_middle, displacement.growth is None
         self.boxes = placed and not material
         self.on_faces = placed and (static or displacement.followed)
-        # corners of material in time turn with it, unless only a marked face touches
-        self.at_corners = self.on_faces and material and surface is None and not static
+        # corners of material turn with it, unless only a marked face touches
+        self.at_corners = self.on_faces and material and surface is None
         # whether middles of faces take the functions at the ends of domains
         self._by_ends = averaged and self._by_middle and (static or displacement.followed)
         if averaged:
