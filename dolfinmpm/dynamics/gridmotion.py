@@ -90,14 +90,18 @@ class GridMotion:
         self._step = Step()
 
     def begin(self, jumped: bool, varying: bool) -> None:
-        """Begin a step.
+        """Begin a step, after the ledger.
+
+        Points that come have no acceleration yet, and where points go their loads and stresses go:
+        the accelerations follow from M a = f, as where a load jumps.
 
         Args:
             jumped: Whether a load jumps at the start of the step.
             varying: Whether any load changes in the step.
         """
         self.varying = varying
-        self._starting |= jumped
+        self._starting |= jumped or self.ledger.came
+        self.ledger.came = False
 
     def regrid(self) -> None:
         """Discard data that depend on the old grid lines; see `regrid`."""
@@ -345,7 +349,7 @@ class GridMotion:
     def state(self) -> dict[str, Any]:
         """Its state from step to step."""
         return {
-            "starting": int(self._starting),
+            "starting": int(self._starting or self.ledger.came),
             "by_forces": int(self.rule.by_forces),
             "ghost_densities": self.terms.densities,
             "reserve": sorted(self.penalty_energy.energy.items()),
@@ -354,7 +358,7 @@ class GridMotion:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a state returned by `state`."""
-        self._starting = bool(state["starting"])
+        self._starting, self.ledger.came = bool(state["starting"]), False
         if self.rule.by_forces and not state["by_forces"]:
             self._penalise(state.get("ghost_densities", ()))
         elif state["by_forces"] and self.terms.densities:

@@ -206,17 +206,14 @@ class Ledger:
 
     Attributes:
         work: Sums over the steps.
+        came: Whether points have come or gone, which the motion takes back.
     """
 
     def __init__(
-        self,
-        points: MaterialPoints,
-        form: WeakForm,
-        bodies: RigidBodies,
-        mass_scaling: float = 1.0,
-        by_points: bool = False,
-    ):
-        self.work = Work()
+        self, points: MaterialPoints, form: WeakForm, bodies: RigidBodies,
+        mass_scaling: float = 1.0, by_points: bool = False,
+    ):  # fmt: skip
+        self.work, self.came = Work(), False
         self._points, self._form, self._bodies = points, form, bodies
         self.mass_scaling, self._by_points = mass_scaling, by_points
         self._first = dict.fromkeys(_FIRST, 0.0)
@@ -255,6 +252,7 @@ class Ledger:
         first["strain"] += float(merged[1] + given[1])
         first["initial"] += float(given[1] + given[2])
         self._bodies.stored += float(given[2])
+        self.came |= bool(given[3] > 0.0)
         touches = bool(given[3] + merged[3] > 0.0)
         self._bodies.changed |= touches
         self._bodies.by_user |= touches

@@ -151,7 +151,8 @@ class Newmark(TimeStepping):
     be set before the first step. All else is as in `QuasiStatic`.
 
     The first step begins with the acceleration that follows from the loads, M a₀ = f. Every step
-    with a jump of a load at its start does the same. So free fall is exact from the first step.
+    with a jump of a load at its start does the same, and every step before which points came or
+    went. So free fall is exact from the first step.
 
     Args:
         form, increment, points, bcs, options: See `QuasiStatic`. The first field moves the points.

@@ -194,8 +194,8 @@ class NewmarkScheme(TimedScheme):
         """See `TimedScheme`. Collective."""
         super().begin(problem, t)
         self.jumped = problem.loads.jumps()
-        self.motion.begin(self.jumped, any(problem.loads.change) or self._constant is not None)
         self.motion.ledger.begin()
+        self.motion.begin(self.jumped, any(problem.loads.change) or self._constant is not None)
 
     def adapted(self) -> None:
         """See `TimedScheme`. The step begins with the energies of the points that are there now.
@@ -379,7 +379,9 @@ class NewmarkScheme(TimedScheme):
 
     def state(self) -> dict[str, Any]:
         """See `Scheme`."""
-        return {**super().state(), **self.motion.state(), **self.motion.ledger.state()}
+        # the account finds points that have come since the last step
+        account = self.motion.ledger.state()
+        return {**super().state(), **self.motion.state(), **account}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
         """See `Scheme`."""

@@ -93,6 +93,27 @@ def test_without_the_first_acceleration_a_deficit_would_stay():
     assert problem.points["velocity"][:, 1] == pytest.approx(-4.0 + 10.0 * 0.02 / 2, rel=1e-12)
 
 
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+@pytest.mark.parametrize(("rule", "options"), RULES)
+def test_free_fall_of_points_that_come_later(rule, options, mass, tmp_path):
+    """They had lacked the gain of up to half a step, for ever."""
+    problem, _ = block(rule, held=False, load=(0.0, -10.0), mass=mass, **options)
+    points = problem.points
+    problem.step(0.02)
+    new = mpm.fill(points.grid, mpm.Box((4, 4), (5, 6)), 2, 1000.0)
+    new.add_field("velocity", (2,), "m/s", lambda x: np.full(x.T.shape, (0.0, -0.2)))
+    points.add(new)
+    # a checkpoint knows of the points that have come
+    problem.save(tmp_path / "state")
+    other, _ = block(rule, held=False, load=(0.0, -10.0), mass=mass, **options)
+    other.load(tmp_path / "state")
+    for one in (problem, other):
+        for t in (0.04, 0.07):
+            one.step(t)
+        np.testing.assert_allclose(one.points["velocity"][:, 1], -0.7, rtol=1e-12)
+        assert abs(one.energies().dissipated) < 1e-12 * one.energies().external
+
+
 # -- order ----------------------------------------------------------------------
 
 
