@@ -279,6 +279,11 @@ def SectionAtEndWarning():
     mpm.section_forces(points, place=(0, 0), normal=(0, 1))  # at its base
 
 
+def DoubtfulInputWarning():
+    record = mpm.InputMotion([0.0, 1.0, 2.0, 3.0], acceleration=[0.0, 300.0, -300.0, 0.0])  # cm/s²
+    record(3.0)
+
+
 def DriftingRecordWarning():
     pulse = mpm.InputMotion([0.0, 1.0, 2.0], acceleration=[0.0, 1.0, 0.0])
     pulse(3.0)

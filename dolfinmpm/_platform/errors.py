@@ -26,6 +26,7 @@ __all__ = [
     "DifferentProblemWarning",
     "DolfinMPMError",
     "DolfinMPMWarning",
+    "DoubtfulInputWarning",
     "DriftingRecordWarning",
     "EmptyShapeError",
     "FieldShapeError",
@@ -189,6 +190,10 @@ class WideComparisonWarning(DolfinMPMWarning):
 
 class DifferentProblemWarning(DolfinMPMWarning):
     """A checkpoint goes on in a problem with other laws, bases, stabilisations or conditions."""
+
+
+class DoubtfulInputWarning(DolfinMPMWarning):
+    """An input is far from usual ones: its unit may be another, or it may count twice."""
 
 
 class DriftingRecordWarning(DolfinMPMWarning):

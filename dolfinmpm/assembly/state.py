@@ -12,6 +12,9 @@ from typing import Any, Protocol
 
 import numpy.typing as npt
 
+from dolfinmpm._platform.argumentchecks import check_kind
+from dolfinmpm._platform.errors import ParameterError
+
 __all__ = ["HasState", "Local", "OfCells", "gathered", "given_back"]
 
 
@@ -46,7 +49,14 @@ def gathered(parts: Iterable[tuple[str, HasState]]) -> dict[str, Any]:
 
 def given_back(parts: Iterable[tuple[str, HasState]], values: Mapping[str, Any]) -> None:
     """Give each part what `gathered` had of it. Collective."""
+    check_kind("state", values, Mapping, "give what state() of such a problem has returned")
     for part, one in parts:
         start = f"{part}: "
         own = {k.removeprefix(start): v for k, v in values.items() if k.startswith(start)}
-        one.set_state(own)
+        try:
+            one.set_state(own)
+        except KeyError as missing:
+            raise ParameterError(
+                f"the state has no {missing} of '{part}': give what state() of a problem with the "
+                "same form, conditions and options has returned"
+            ) from missing

@@ -292,6 +292,7 @@ class Surface(Settled):
             once: Whether a weak form may contain the form only once.
         """
         check_displacement(self.points, v=v)
+        t = vector_of(self.points, name, t)
         return signed_form(-self.density * ufl.dot(t, v), self.dX, name, once)
 
     def force(self, P, v) -> ufl.Form:

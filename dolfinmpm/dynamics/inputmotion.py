@@ -8,7 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import choice, coordinates, number, shown, whole
-from dolfinmpm._platform.errors import DriftingRecordWarning, ParameterError, warn
+from dolfinmpm._platform.errors import (
+    DoubtfulInputWarning,
+    DriftingRecordWarning,
+    ParameterError,
+    warn,
+)
 from dolfinmpm._platform.filepaths import text_of
 from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.grid.userfunctions import VelocityByTime
@@ -21,6 +26,9 @@ Array = npt.NDArray[np.float64]
 _LEFT = 0.02
 # Largest mean velocity that a step may miss, as a share of the peak velocity: waves of 6 steps
 _MISSED = 0.1
+# Acceleration (m/s²) above all that were measured in earthquakes: 38.66 m/s² vertically, see
+# Aoi et al. (2008), doi 10.1126/science.1163113
+_STRONGEST = 50.0
 
 
 class InputMotion(Unchanged, VelocityByTime):
@@ -45,6 +53,7 @@ class InputMotion(Unchanged, VelocityByTime):
             `acceleration` and `velocity` is given.
 
     Warns:
+        DoubtfulInputWarning: Given accelerations are above 50 m/s² when the record is first used.
         DriftingRecordWarning: A record in use has more than 2 % of its peak velocity left after
             its end. Or steps are so long that they miss a tenth of its peak velocity. Steps of
             `Newmark`, `GeneralisedAlpha` and `Transient` take the mean of the velocities at both
@@ -94,6 +103,15 @@ class InputMotion(Unchanged, VelocityByTime):
         from mpi4py import MPI
 
         self._told = True
+        # given velocities may jump, and have any acceleration
+        peak = float(np.abs(self._samples()).max()) if self._kind == "acceleration" else 0.0
+        if peak > _STRONGEST:
+            warn(
+                MPI.COMM_WORLD,
+                f"the record has a peak of {peak:.4g} m/s², and no earthquake has had more than "
+                f"{_STRONGEST:g}: if it is in cm/s² (Gal), take record.scaled(0.01)",
+                DoubtfulInputWarning,
+            )
         if abs(self.drift) > _LEFT * self._peak:
             warn(
                 MPI.COMM_WORLD,

@@ -38,6 +38,7 @@ from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.timescheme import NewmarkScheme
 from dolfinmpm.forms.formchecks import check_levels
+from dolfinmpm.forms.weightchecks import warn_of_second_inertia
 from dolfinmpm.solve.arguments import as_read, increments_of
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.problemchecks import refuse_field_tags
@@ -99,6 +100,7 @@ class TimeStepping(MovingBody, QuasiStatic):
         check_clock(time, points.grid)
         scheme = NewmarkScheme(rule, ties, error, time)
         super().__init__(form, increment, points, conditions, scheme=scheme, **options)
+        warn_of_second_inertia(form, points, type(self).__name__)
         self.essential_conditions.read = as_read(bcs)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         if self.form.has_rates:

@@ -11,16 +11,26 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.algorithms.analysis import extract_constants
-from ufl.classes import Index, Label, ListTensor, MultiIndex, ScalarValue, Zero
+from ufl.classes import (
+    FloatValue,
+    Index,
+    IntValue,
+    Label,
+    ListTensor,
+    MultiIndex,
+    ScalarValue,
+    Zero,
+)
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import DoubtfulInputWarning, FormError, warn
 from dolfinmpm.body.fields import PointField
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
-from dolfinmpm.forms.termqueries import brief, tags_of, term_of
+from dolfinmpm.forms.termqueries import brief, summands, tags_of, term_of
 
-__all__ = ["check_repeated", "check_weights"]
+__all__ = ["check_repeated", "check_weights", "warn_of_second_inertia"]
 
 Array = npt.NDArray[np.float64]
 
@@ -48,6 +58,39 @@ def check_weights(form: ufl.Form) -> None:
                     f"the weight of the mixture is in the form twice: by mpm.poromechanics("
                     f"gravity=...), and by '{brief(term)}'; leave one out"
                 )
+
+
+def warn_of_second_inertia(form: ufl.Form, points: MaterialPoints, scheme: str) -> None:
+    """Warn of a term density times acceleration in a problem that has this inertia itself.
+
+    A term with a factor, or with another density, is an added mass.
+
+    Args:
+        form: Weak form, as the user wrote it.
+        points: Its material points.
+        scheme: Name of the problem's class.
+    """
+    for integral in form.integrals():
+        if CARRIED in (integral.metadata() or {}):
+            continue
+        for term in summands(integral.integrand()):
+            fields = {c.name for c in extract_coefficients(term) if isinstance(c, PointField)}
+            if fields != {"density", "start_acceleration"}:
+                continue
+            factors = [c for c in extract_constants(term) if c is not points.inertia]
+            numbers = [
+                float(n)
+                for n in unique_pre_traversal(term)
+                if isinstance(n, (FloatValue, IntValue))
+            ]
+            if not factors and all(n in (1.0, -1.0) for n in numbers):
+                warn(
+                    points.comm,
+                    f"the term '{brief(term)}' doubles the inertia: {scheme} has that of the "
+                    "points' density itself; leave the term out",
+                    DoubtfulInputWarning,
+                )
+                return
 
 
 def check_repeated(form: ufl.Form) -> None:

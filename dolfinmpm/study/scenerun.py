@@ -19,7 +19,12 @@ from dolfinmpm._platform.argumentchecks import (
     shown,
     truth,
 )
-from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
+from dolfinmpm._platform.errors import (
+    ParameterError,
+    UnknownNameError,
+    call_together,
+    raise_together,
+)
 from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.problem import Problem
@@ -97,6 +102,18 @@ class Run(Unchanged):
         return list(self.problem) if several else [self.problem]  # type: ignore[list-item]
 
 
+class _Parameters(dict[str, float]):
+    """Parameters of a run, with a message where a scene asks for another one."""
+
+    def __missing__(self, name: str) -> float:
+        # a KeyError too, so that a scene may catch it as that of any dictionary
+        raise UnknownNameError(
+            f"the scene asks for the parameter {shown(name)}, and those that the study gives it "
+            f"are {', '.join(map(str, self)) or 'none'}: give it to the study, or take its value "
+            f"in the scene by m.get({shown(name)}, value)"
+        )
+
+
 def _moved_before(points: MaterialPoints) -> ParameterError | None:
     """An error for points that a scene has returned before, and that have moved since, or None."""
     if points not in _RETURNED or not points["moved_under"].any():
@@ -121,6 +138,7 @@ def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) 
         ParameterError: The scene returns something else, such as None, or lacks the figure; or its
             points are those of an earlier run, and have moved.
     """
+    arguments = tuple(_Parameters(a) if isinstance(a, dict) else a for a in arguments)
     check_takes("scene", scene, *arguments)
     run = scene(*arguments)
     check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
