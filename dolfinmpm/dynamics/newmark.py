@@ -158,7 +158,9 @@ class Newmark(TimeStepping):
 
     Args:
         form, increment, points, bcs, options: See `QuasiStatic`. The first field moves the points.
-        beta, gamma: β and γ.
+        beta, gamma: β and γ. With β below γ/2 steps must be shorter than 1/√(γ/2 − β) over
+            the highest angular frequency of the grid, or vibrations grow: see Hughes (2000), *The
+            finite element method*, section 9.1.
         mass: "consistent" or "lumped".
         mapping: The velocity mapping between points and grid: a `Mapping` or its name. The
             default is "pic" with a consistent mass, and "accel" with a lumped mass. With a

@@ -127,6 +127,7 @@ class EnergyWithYield(Law):
         self._compile(yield_function, potential or yield_function)
         if not self.varies:
             self._check_isotropy()
+            self._check_sign()
 
     def _compile(self, yield_function, potential) -> None:
         """Compile values and derivatives; see `return_kernel` for their outputs."""
@@ -194,6 +195,19 @@ class EnergyWithYield(Law):
                 f"EnergyWithYield: stresses change by {wrong:g} Pa of {size:g} Pa when the axes of "
                 "strain are exchanged; energy, yield function and potential must treat the three "
                 "principal values alike"
+            )
+
+    def _check_sign(self) -> None:
+        """Refuse an energy that falls with every strain, whose body would rise under its weight."""
+        try:
+            moduli = self.respond(np.zeros((1, 3))).tangent[0]
+        except StateError:
+            return
+        if np.isfinite(moduli).all() and np.linalg.eigvalsh(moduli + moduli.T).max() < 0.0:
+            raise ParameterError(
+                f"EnergyWithYield: the energy falls with every strain, with moduli down to "
+                f"{np.linalg.eigvalsh(0.5 * (moduli + moduli.T)).min():g} Pa without strain; a "
+                "stored energy rises: give it the other sign"
             )
 
     @property

@@ -58,6 +58,11 @@ def test_scene_that_asks_for_another_parameter():
         mpm.study.differentiate(scene, {"G": 1e6})
 
 
+def test_energy_with_the_wrong_sign():
+    with pytest.raises(ParameterError, match="the energy falls with every strain"):
+        mpm.materials.EnergyWithYield(lambda e: -1e6 * sum(e) ** 2 - 5e5 * ufl.inner(e, e))
+
+
 def test_state_of_another_problem():
     points, V, F = block()
     problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
