@@ -56,6 +56,7 @@ from dolfinmpm.porous.waterboundaries import (
     refuse_two_pressures,
     seepage_face,
     surfaces,
+    warn_of_levels,
 )
 
 __all__ = ["poromechanics"]
@@ -288,6 +289,7 @@ def _surface_terms(
 
     held = {"drained": of("drained", "Pa", 0.0), "seepage": of("seepage", "Pa", 0.0)}
     held["ponded"] = of("ponded", "m")
+    warn_of_levels(points, weight, held["ponded"])
     refuse_two_pressures(held)
     for surface, value in held["drained"]:
         leaves(surface, prescribed_pressure(through, surface, value))

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 import ufl
+from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import Tags, number, shown
-from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.errors import DoubtfulInputWarning, ParameterError, raise_together, warn
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
@@ -32,10 +33,13 @@ __all__ = [
     "refuse_two_pressures",
     "seepage_face",
     "surfaces",
+    "warn_of_levels",
 ]
 
 # Factor of the penalty of a drained surface, relative to flow through a cell and storage in a cell
 _DRAINED = 100.0
+# Height (m) above the highest mountain, by more than the depth of the deepest sea
+_HIGHEST = 2e4
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,28 @@ def surfaces(
             raise_together(points.comm, _of_other_soil(what, surface, tags))
         found.append((surface, value))
     return found
+
+
+def warn_of_levels(points: MaterialPoints, weight: Any, ponded: list[tuple[Surface, Any]]) -> None:
+    """Warn of a level of water above all mountains and seas: it may be a pressure.
+
+    Args:
+        points: Material points.
+        weight: Unit weight of the water (N/m³), a constant.
+        ponded: Surfaces and levels (m). A level that is no constant may be anything.
+    """
+    for surface, level in ponded:
+        # in other units than N and m, such as N and mm, water has a far smaller number
+        metres = float(weight.value) > 1e3
+        if metres and isinstance(level, fem.Constant) and float(level.value) > _HIGHEST:
+            warn(
+                points.comm,
+                f"the water that is ponded on '{surface.name}' has its level at "
+                f"{float(level.value):g} m: a level is a height along the last axis; if this is a "
+                f"pressure (Pa), give the height of the surface plus "
+                f"{float(level.value) / float(weight.value):.4g} m",
+                DoubtfulInputWarning,
+            )
 
 
 def refuse_two_pressures(held: dict[str, list[tuple[Surface, Any]]]) -> None:

@@ -78,3 +78,18 @@ def test_traction_of_a_term_is_a_vector():
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 1), normal=(0, 1))
     with pytest.raises(ParameterError, match="wind"):
         top.term(3.0, V.test, "wind")
+
+
+@pytest.mark.parametrize("level", [3.0, 30e3])
+def test_pressure_in_place_of_a_level_is_told(level, recwarn):
+    points, V, _ = block()
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], 1), normal=(0, 1))
+    P = mpm.Space(points.grid, "gimp", shape=())
+    unknowns, tests = [V.increment, P.increment], [V.test, P.test]
+    soil = mpm.materials.Hencky(1e6, 0.3)
+    mpm.poromechanics(
+        soil, points, unknowns, tests, permeability=1e-6, porosity=0.4, ponded=[(top, level)]
+    )
+    told = [str(w.message) for w in recwarn if w.category is DoubtfulInputWarning]
+    assert bool(told) == (level > 1e4)
+    assert all("the height of the surface plus 3.058 m" in message for message in told)
