@@ -20,6 +20,7 @@ from dolfinmpm.contact.contactstencils import add_tangent
 from dolfinmpm.contact.contactwarnings import warn_at_start
 from dolfinmpm.contact.cornerforces import set_forces_at_end, set_mean_forces
 from dolfinmpm.contact.corners import ALL, CornerLayout, Corners, Rows, Which
+from dolfinmpm.contact.cornersatedges import normals_at_edges
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.followedgaps import FollowedGaps
 from dolfinmpm.contact.heldcorners import HeldCorners, growth_of
@@ -88,7 +89,7 @@ class ActiveRigidContact(ActiveContact):
         self.corners = c = self.layout.corners(
             self.candidates,
             lambda x: self._near_corners(x, distance),
-            lambda: contact.body.start.directions(self._probe[1]),
+            lambda x, inward: normals_at_edges(contact.body, self._probe, x, inward),
             self._on_faces,
         )
         self.x: Array = c.x.copy()

@@ -43,6 +43,7 @@ from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.contactstencils import ContactStencils
 from dolfinmpm.contact.cornerareas import edges_of_faces, face_areas, places_on_faces, slip_parts
 from dolfinmpm.contact.cornermatrices import CornerMatrices
+from dolfinmpm.contact.cornersatedges import AtEdges, pulled
 from dolfinmpm.contact.displacementbasis import DisplacementBasis
 from dolfinmpm.contact.facefunctions import FaceFunctions
 
@@ -228,7 +229,8 @@ class CornerLayout:
         return np.asarray(np.einsum("pij,pi->pj", self._F[rows], normal))
 
     def corners(
-        self, rows: Rows, kept: Callable[[Array], Which], normals: Callable[[], Array],
+        self, rows: Rows, kept: Callable[[Array], Which],
+        normals: Callable[[Array, Array], AtEdges],
         follow: Callable[[Rows, Rows, Array], Array | None],
     ) -> Corners:  # fmt: skip
         """The corners of some points.
@@ -236,8 +238,9 @@ class CornerLayout:
         Args:
             rows: The points, increasing, shape (n,).
             kept: Function from positions of corners to the corners to keep, increasing.
-            normals: Function that returns the normals of the rigid surface at the kept corners,
-                shape (m, gdim).
+            normals: Function of the kept corners' positions and of the ways to their points (m),
+                that returns the normals of the rigid surface there; see
+                `dolfinmpm.contact.cornersatedges`.
             follow: Function of points, numbers and positions of the corners on faces: shares by
                 which they move with their domains, see `dolfinmpm.contact.followedgaps`, or None.
         """
@@ -254,7 +257,11 @@ class CornerLayout:
         M: Any
         if self.on_faces or self._by_ends:
             if self.on_faces:
-                x, M = self._on_faces(each, which, normals())
+                found = normals(x, points["x"][each] - x)
+                if found.beside.any():
+                    touches = ~found.beside
+                    each, which, found = each[touches], which[touches], found.chosen(touches)
+                x, M = self._on_faces(each, which, found)
             else:
                 offset = self._marked_faces(each)[0]
                 middle = np.einsum("cij,cj->ci", self._F[each], offset)
@@ -281,15 +288,16 @@ class CornerLayout:
         return scipy.sparse.csr_matrix(rest @ M + part @ own)
 
     def _on_faces(
-        self, each: Rows, which: Rows, normal: Array
+        self, each: Rows, which: Rows, found: AtEdges
     ) -> tuple[Array, scipy.sparse.csr_matrix]:
         """Places of the corners on their faces (m), and the functions there.
 
         Args:
             each: Point of each corner, shape (m,).
             which: Number of each corner at its point, shape (m,).
-            normal: Normal of the rigid surface at each corner, shape (m, gdim).
+            found: Normals of the rigid surface at the corners, and those at an edge of it.
         """
+        normal = found.normal
         if self._surface is not None:
             normal = np.broadcast_to(self._surface.normal, normal.shape)
         elif not self.boxes:
@@ -297,6 +305,8 @@ class CornerLayout:
         signs, share = side_signs(self._points.gdim)[which], places_on_faces(normal)
         of = self._faces.at_corners if self.at_corners else self._faces.parts
         r, M = of(each, signs, share)
+        if found.at_edge.any():
+            r += self._faces.within(each, pulled(signs, share, found.at_edge))
         return self._points["x"][each] + r, M
 
     def _material_positions(self, each: Rows, which: Rows) -> tuple[Array, Array]:

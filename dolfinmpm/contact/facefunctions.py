@@ -80,14 +80,14 @@ class FaceFunctions:
         points, basis = self._points, self._basis
         half = points["l"][each]
         within = np.where(1.0 - share > _ROUNDING, (1.0 - share) * half, 0.0)
-        r = signs * share * half if self._in_boxes else self._in_material(each, signs * share)
+        r = self.within(each, signs * share)
         if self._in_boxes or not isinstance(basis, LatticeBasis):
             # beyond the domain the functions are continued by the gradients at the point
             inside = np.clip(r, within - half, half - within)
         else:
             outside = self._outside(basis, each, r, within)[:, None]
             if not stay:
-                r = np.where(outside, self._in_material(each, signs), r)
+                r = np.where(outside, self.within(each, signs), r)
             inside, within = r, np.where(outside, 0.0, within)
         x = points["x"][each]
         return r, self._continued(in_domains(basis, x + inside, within, x, half), r - inside, each)
@@ -142,8 +142,15 @@ class FaceFunctions:
             M = M + self._matrices.by_gradient(each, rest, value=False)
         return M
 
-    def _in_material(self, each: Rows, at: Array) -> Array:
-        """Offsets of places in material that turns and shears, by initial half-lengths (m)."""
+    def within(self, each: Rows, at: Array) -> Array:
+        """Offsets of places from their points (m), shape (m, gdim).
+
+        Args:
+            each: Point of each place, shape (m,).
+            at: Places by half-lengths of the domains, or of the material, shape (m, gdim).
+        """
+        if self._in_boxes:
+            return np.asarray(at * self._points["l"][each])
         return np.asarray(np.einsum("cij,cj->ci", self._F[each], at * self._points["l0"][each]))
 
     def _outside(

@@ -103,7 +103,7 @@ def test_a_step_that_fails_names_the_fillet_as_a_remedy(fillet, friction, told):
     box = mpm.Box((-1, 0), (1, 0.5))
     footing = mpm.RigidBody(box, fillet=fillet, free=(False, True, False), force=(0.0, -5e4))
     F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
-    F += mpm.contact(footing, points, u, v, friction=friction)
+    F += mpm.contact(footing, points, u, v, friction=friction, corners="material")
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, u, points, bcs, max_iterations=1, max_halvings=0)
     with pytest.raises(ConvergenceError) as failed:
