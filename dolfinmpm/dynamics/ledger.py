@@ -270,6 +270,13 @@ class Ledger:
         return not math.isclose(kinetic, self._last, rel_tol=_ROUNDING)
 
     @property
+    def dissipated(self) -> float:
+        """What laws with F-bar have dissipated (J); zero without such laws. Collective."""
+        if not any(getattr(declaration, "fbar", False) for declaration in self._form.storing):
+            return 0.0
+        return self.energies().losses["plastic"]
+
+    @property
     def started(self) -> bool:
         """Whether a step has begun."""
         return bool(self._first["started"])
