@@ -129,7 +129,9 @@ class RigidContact(Term):
 
     def act(self, weights: MeanForceWeights | None, follows: bool | None) -> None:
         """See `Term`."""
-        self.mean_weights, self.follows = weights, follows
+        # in explicit steps light nodes would move corners of material, and not their points
+        wild = follows and weights is None and self.material and self.surface is None
+        self.mean_weights, self.follows = weights, False if wild else follows
 
     def __repr__(self) -> str:
         return f"the contact with '{self.body.name}'"
@@ -314,14 +316,13 @@ def contact(
             `dolfinmpm.contact.sharedsurface`. It acts where μ times the pressure is larger, so it
             needs `friction`. None for no limit.
         penalty: κ in units of E/h: E is Young's modulus in the first state of the points, h the
-            smallest height of a cell. About 100 for stiff confined bodies.
-            `mpm.stiffness_per_area` returns κ.
+            smallest height of a cell. About 100 for stiff confined bodies. κ is returned by
+            `mpm.stiffness_per_area`.
         stiffness_per_area: κ itself (Pa/m), instead of `penalty`; at least 0.05 E/h.
         slip_stiffness: Tangential stiffness during stick, as a share of κ.
         penetration: Largest penetration (m), or None for the penalty alone.
         surface: Faces that touch, instead of all corners: a `Surface`, or a `Boundary` that follows
-            the body, for faces that are oblique or curved. The body then touches with its own
-            faces, and not with the stairs of the domains of its points.
+            the body, for oblique or curved faces, which touch in place of the domains' stairs.
         corners: "domains" for corners of the points' domains, "material" for corners that turn
             and shear with the points' material, see `dolfinmpm.contact.corners`. The default is
             "material" for marked faces, and else "domains", for flowing soil.
