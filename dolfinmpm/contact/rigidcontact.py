@@ -316,8 +316,7 @@ def contact(
             `dolfinmpm.contact.sharedsurface`. It acts where μ times the pressure is larger, so it
             needs `friction`. None for no limit.
         penalty: κ in units of E/h: E is Young's modulus in the first state of the points, h the
-            smallest height of a cell. About 100 for stiff confined bodies. κ is returned by
-            `mpm.stiffness_per_area`.
+            smallest height of a cell. About 100 for stiff confined bodies.
         stiffness_per_area: κ itself (Pa/m), instead of `penalty`; at least 0.05 E/h.
         slip_stiffness: Tangential stiffness during stick, as a share of κ.
         penetration: Largest penetration (m), or None for the penalty alone.

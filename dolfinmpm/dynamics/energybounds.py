@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.cut.activation import Activation
-from dolfinmpm.dynamics.ledger import Ledger, Work
+from dolfinmpm.dynamics.ledger import Ledger
 from dolfinmpm.dynamics.nodalmass import Mass
+from dolfinmpm.dynamics.worksums import Work
 
 __all__ = ["SHORTEST", "EnergyBalance", "EnergyGain", "PenaltyEnergy"]
 

@@ -17,9 +17,9 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.kinks import Kinks
-from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.smallmass import Filter, checked_viscosity, filters
+from dolfinmpm.dynamics.worksums import Work
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 

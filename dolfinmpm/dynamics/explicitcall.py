@@ -22,7 +22,7 @@ from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time, set_velocities
 from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.explicitbase import ExplicitStep, checked_courant
-from dolfinmpm.dynamics.ledger import Work
+from dolfinmpm.dynamics.worksums import Work
 from dolfinmpm.solve.adaptation import adapt
 from dolfinmpm.solve.bodyrecords import BodyRecords
 from dolfinmpm.solve.loads import check_loads

@@ -24,11 +24,11 @@ from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.fusedloop import kernel
-from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
 from dolfinmpm.dynamics.pointarrays import Laws, PointArrays
 from dolfinmpm.dynamics.window import MARGIN, Prescribed, Window, WindowMeans
+from dolfinmpm.dynamics.worksums import Work
 
 __all__ = ["FusedSteps"]
 

@@ -21,7 +21,7 @@ from dolfinmpm.dynamics.boundarywork import boundary_forces, forces_without_cont
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
 from dolfinmpm.dynamics.facesatnodes import Sides
 from dolfinmpm.dynamics.inertia import Dashpots, NewmarkRule
-from dolfinmpm.dynamics.ledger import Ledger, Work
+from dolfinmpm.dynamics.ledger import Ledger
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import MassTerms, point_masses
 from dolfinmpm.dynamics.nodalmass import Mass
@@ -34,6 +34,7 @@ from dolfinmpm.dynamics.stepwork import (
     work_of_waves,
 )
 from dolfinmpm.dynamics.transfer import collect, scatter
+from dolfinmpm.dynamics.worksums import Work
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.grid.tensors import inverses
 from dolfinmpm.solve.operator import Operator

@@ -15,10 +15,10 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundarywork import forces_without_contact, has_walls, wall_forces
 from dolfinmpm.dynamics.explicitbase import ExplicitStep
-from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.sidedashpots import SideDashpots
+from dolfinmpm.dynamics.worksums import Work
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 

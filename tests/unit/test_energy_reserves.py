@@ -12,7 +12,7 @@ import dolfinmpm as mpm
 from dolfinmpm.contact.contactlaw import explicit_reduction
 from dolfinmpm.contact.meanforces import bounding_multipliers, normal_energy
 from dolfinmpm.dynamics.energybounds import EnergyGain, PenaltyEnergy
-from dolfinmpm.dynamics.ledger import Work
+from dolfinmpm.dynamics.worksums import Work
 
 
 def begun(energy, stiffness, V):
