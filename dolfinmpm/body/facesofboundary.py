@@ -212,6 +212,8 @@ def _middles(x: Array, weight: Array, rows: Rows, count: int) -> Array:
         rows: Point of each marker, shape (n,).
         count: Number of points.
     """
-    sums = np.array([np.bincount(rows, weight * column, count) for column in x.T]).T
+    # a rank without markers: NumPy then returns integers, into which nothing can be divided
+    columns = [np.bincount(rows, weight * column, count) for column in x.T]
+    sums = np.array(columns, np.float64).T
     whole = np.bincount(rows, weight, count)[:, None]
     return np.divide(sums, whole, out=np.zeros_like(sums), where=whole > 0.0)

@@ -138,6 +138,7 @@ CASES = {
         contact.contact_quasistatic,
         contact.contact_restart,
         contact.contact_along_a_boundary,
+        contact.faces_of_few_ranks,
         contact.free_body_at_an_edge,
         contact.contact_in_time,
         contact.contact_in_fused_steps,

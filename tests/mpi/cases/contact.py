@@ -155,6 +155,23 @@ def _thrown(kind, free=True, **options):
     return kind(F, V.increment, points, mpm.fixed(V, "bottom"), **options), ball
 
 
+def faces_of_few_ranks():
+    """A face of a long block is pressed by a wall: only one rank has markers of the face."""
+    grid = mpm.create_lattice(COMM, [0.125 * np.arange(-4, 28), 0.125 * np.arange(-1, 6)])
+    points = mpm.fill(grid, mpm.Box((0, 0), (3, 0.5)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    face = mpm.Boundary.from_polygon(points, [(0, 0.5), (0, 0)], closed=False)
+    wall = mpm.RigidBody(mpm.Plane((0, 0), (1, 0)), increment=(3e-3, 0.0), name="wall")
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.0), points, u, v)
+    F += mpm.contact(wall, points, u, v, friction=0.3, penalty=1000.0, surface=face)
+    bcs = mpm.prescribed(V, lambda x: np.isclose(x[0], 3.0), 0)
+    bcs += mpm.prescribed(V, lambda x: np.isclose(x[1], 0.0), 1)
+    mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-12).step()
+    assert abs(wall.force[0] / (-1e6 * 1e-3 * 0.5) - 1) < 2e-3
+    return {"force": list(wall.force), **sums(points, "x", "stress")}
+
+
 def contact_in_time():
     """A free ball, by implicit and explicit steps."""
     found = {}
