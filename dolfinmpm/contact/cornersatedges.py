@@ -7,6 +7,11 @@ along the surface, and lost the load of the first one. So the sides are those to
 normals are taken at places slightly within the domains, and a corner that is at an edge is moved
 by as much towards its point. A corner is beside the body if a move along either axis alone takes it
 away from the body by its whole length.
+
+In later steps the corner of the domain below is inside the body by its penetration, or a little
+beyond the edge, as where soil bulges. The upright side may then be the nearest one. Yet it faces
+away from this domain, n·r < 0 with the way r from the corner to its point, and cannot hold it. The
+side is then the nearest one to a place further within, halfway to the point along n.
 """
 
 from __future__ import annotations
@@ -35,6 +40,11 @@ _IN_LINE = 1e-7
 _ALIKE = 1e-3
 # Share of a move by which a corner is beside the body
 _BESIDE = 0.999
+# Largest distance of a corner from a side that faces away, as a share of the way from there to the
+# point. The middle of the part of the face, halfway to the point, is then still below the body
+_BEHIND = 0.25
+# Share of this way by which the nearest side is then looked for further within the body
+_FURTHER = 0.5
 # Share of a half-length at which a corner is at the end of the domain
 _END = 1.0 - 1e-9
 
@@ -70,7 +80,7 @@ def normals_at_edges(body: RigidBody, probe: Probe, x: Array, inward: Array) -> 
     at_edge, beside = np.zeros((2, len(x)), bool)
     near = np.flatnonzero(np.abs(probe[0]) < _IN_LINE * np.linalg.norm(inward, axis=1))
     if not near.size:
-        return AtEdges(normal, at_edge, beside)
+        return AtEdges(_facing(body, probe[0], normal, x, inward), at_edge, beside)
     way = _WITHIN * inward[near]
 
     def moved(by: Array) -> tuple[Array, Array]:
@@ -84,7 +94,32 @@ def normals_at_edges(body: RigidBody, probe: Probe, x: Array, inward: Array) -> 
     gaps = np.array([gap for gap, _ in along]).T
     beside[near] = at_edge[near] & (np.sum(gaps > _BESIDE * np.abs(way), axis=1) >= 2)
     normal[at_edge] = within[at_edge[near]]
-    return AtEdges(normal, at_edge, beside)
+    return AtEdges(_facing(body, probe[0], normal, x, inward), at_edge, beside)
+
+
+def _facing(body: RigidBody, gap: Array, normal: Array, x: Array, inward: Array) -> Array:
+    """Normals of the nearest sides that do not face away from the domains; see the module.
+
+    Args:
+        body: The body, at the start of a step.
+        gap: Gaps of the corners (m), shape (m,).
+        normal: Normals of the nearest sides, shape (m, d).
+        x, inward: See `normals_at_edges`.
+    """
+    along = np.sum(normal * inward, axis=1)
+    size = np.linalg.norm(inward, axis=1)
+    away = np.flatnonzero((along < -_ALIKE * size) & (np.abs(gap) < -_BEHIND * along))
+    place, side, way = x[away], normal[away], inward[away]
+    for _ in range(x.shape[1] - 1):
+        if not away.size:
+            break
+        behind = np.minimum(np.sum(side * way, axis=1), 0.0)
+        place = place + _FURTHER * behind[:, None] * side
+        side = body.start.directions(body.surface.probe(body.start.back(place))[1])
+    faces = np.sum(side * way, axis=1) > 0.0
+    result = normal.copy()
+    result[away[faces]] = side[faces]
+    return result
 
 
 def pulled(signs: Array, share: Array, at_edge: Chosen) -> Array:
