@@ -152,7 +152,7 @@ class ActiveRigidContact(ActiveContact):
         """State of the corners at the start of the step."""
         contact, points, c = self.contact, self.contact.points, self.corners
         names, own = contact.names, (c.rows, c.which)
-        normal_force = points[names.normal_force][own]
+        normal_force = self.layout.carried(points[names.normal_force], c)
         normal = contact.body.start.directions(self._probe[1])
         areas = self.layout.areas(c, normal)
         slipping = areas_at_start(self, normal, self._probe[0]) if contact.shares_surface else areas
@@ -165,8 +165,8 @@ class ActiveRigidContact(ActiveContact):
         no_bound = contact.law.penetration is None
         multiplier = np.zeros(len(c.x)) if no_bound else normal_force
         return ContactStart(
-            self._probe[0], points[names.tangential_force][own], normal_force, k, multiplier,
-            points[names.closing][own], contact.law.largest_slip_forces(slipping),
+            self._probe[0], self.layout.carried(points[names.tangential_force], c), normal_force,
+            k, multiplier, points[names.closing][own], contact.law.largest_slip_forces(slipping),
             contact.water_at(c.rows, c.x) * areas, domains_at_start(self),
         )  # fmt: skip
 
@@ -324,10 +324,10 @@ class ActiveRigidContact(ActiveContact):
 
     def update(self, new: NewState) -> None:
         """See `ActiveTerm`. Collective."""
-        points, c = self.contact.points, self.corners
+        points, names = self.contact.points, self.contact.names
+        forces = names.tangential_force, names.normal_force, names.stiffness
         for name, values in self.end_state():
-            new.fields[name] = np.zeros_like(points[name])
-            new.fields[name][c.rows, c.which] = values
+            new.fields[name] = self.layout.kept(points[name], self.corners, values, name in forces)
 
     def end_state(self) -> list[tuple[str, Array]]:
         """State of the corners at the end of the step: names of fields, and values. Collective."""

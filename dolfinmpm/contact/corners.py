@@ -193,6 +193,41 @@ class CornerLayout:
             half, axes = points["l0"][rows], self._F[rows]
         return np.asarray(axes * half[:, None, :])
 
+    @property
+    def _one_for_all(self) -> bool:
+        """Whether a face touches with its middle, and steps in time take its Gauss points."""
+        return self._by_middle and not self.gauss
+
+    def carried(self, state: Array, corners: Corners) -> Array:
+        """Forces of the last step, or stiffnesses, at some corners, shape (m,) or (m, gdim).
+
+        The middle of a face carries what its Gauss points carried in a step in time.
+
+        Args:
+            state: Values of all corners of the points, shape (points, corners) or more.
+            corners: The corners.
+        """
+        if self._one_for_all:
+            return np.asarray(state[corners.rows].sum(axis=1))
+        return np.asarray(state[corners.rows, corners.which])
+
+    def kept(self, state: Array, corners: Corners, values: Array, forces: bool) -> Array:
+        """Values of some corners for the next step; those of all other corners are zero.
+
+        The Gauss points of a face share the force at its middle, for steps in time that follow.
+
+        Args:
+            state, corners: See `carried`.
+            values: Values at the corners, shape (m,) or (m, gdim).
+            forces: Whether they are forces, or stiffnesses, and not lengths.
+        """
+        result = np.zeros_like(state)
+        if self._one_for_all:
+            result[corners.rows] = values[:, None] / (state.shape[1] if forces else 1)
+        else:
+            result[corners.rows, corners.which] = values
+        return result
+
     def surface_parts(
         self, rows: Rows, which: Rows, normal: Array, gap: Array, edges: Array | None = None
     ) -> tuple[Array, Array]:
