@@ -7,6 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm.body.facesofboundary import _middles
 from dolfinmpm.contact.cornerareas import edges_of_faces
 
 COMM = MPI.COMM_WORLD
@@ -235,3 +236,9 @@ def test_steps_in_time_take_over_the_friction_on_faces():
     static = floor.force.copy()
     mpm.Newmark(F, u, points).step(0.005)
     np.testing.assert_allclose(floor.force, static, rtol=0.025)
+
+
+def test_a_rank_without_markers_has_no_middles():
+    """Where all of a boundary was on other ranks, it ended with a TypeError of NumPy."""
+    middles = _middles(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.intp), 3)
+    np.testing.assert_array_equal(middles, np.zeros((3, 2)))
