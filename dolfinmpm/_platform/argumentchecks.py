@@ -147,7 +147,9 @@ def check_takes(what: str, function: Any, *arguments: Any) -> None:
     """
     wrong = _unfit(function, *arguments)
     if wrong is not None:
-        kinds = ", ".join(f"a {type(argument).__name__}" for argument in arguments)
+        # the classes of parameters are dictionaries to the user
+        names = ("dict" if isinstance(one, dict) else type(one).__name__ for one in arguments)
+        kinds = ", ".join(f"a {name}" for name in names)
         raise ParameterError(f"{what} is called with {kinds or 'no arguments'}: {wrong}")
 
 

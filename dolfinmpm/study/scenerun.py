@@ -138,8 +138,7 @@ def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) 
         ParameterError: The scene returns something else, such as None, or lacks the figure; or its
             points are those of an earlier run, and have moved.
     """
-    # a scene may call another one with its parameters: the message names them as the user does
-    check_takes("scene", scene, *(dict(a) if isinstance(a, dict) else a for a in arguments))
+    check_takes("scene", scene, *arguments)
     run = scene(*(_Parameters(a) if isinstance(a, dict) else a for a in arguments))
     check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
     for problem in run.problems:
