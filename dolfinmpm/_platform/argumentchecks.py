@@ -101,8 +101,7 @@ def check_function(what: str, value: Any, kind: str = "", *arguments: Any) -> No
     """Raise ParameterError unless a value is a function, and takes arguments if these are given.
 
     Args:
-        what: Name of the argument.
-        value: The argument.
+        what, value: Name of the argument, and the argument.
         kind: Arguments and result of the function, as text for the message.
         arguments: Arguments with which it will be called.
     """
@@ -141,13 +140,12 @@ def check_takes(what: str, function: Any, *arguments: Any) -> None:
     """Raise ParameterError if a function does not take some arguments.
 
     Args:
-        what: Name of the function.
-        function: The function.
+        what, function: Its name, and the function.
         arguments: Arguments with which it will be called.
     """
     wrong = _unfit(function, *arguments)
     if wrong is not None:
-        # the classes of parameters are dictionaries to the user
+        # parameters of runs are dictionaries to the user
         names = ("dict" if isinstance(one, dict) else type(one).__name__ for one in arguments)
         kinds = ", ".join(f"a {name}" for name in names)
         raise ParameterError(f"{what} is called with {kinds or 'no arguments'}: {wrong}")
