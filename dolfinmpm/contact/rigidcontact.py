@@ -130,8 +130,8 @@ class RigidContact(Term):
     def act(self, weights: MeanForceWeights | None, follows: bool | None) -> None:
         """See `Term`."""
         # in explicit steps light nodes would move corners of material, and not their points
-        wild = follows and weights is None and self.material and self.surface is None
-        self.mean_weights, self.follows = weights, False if wild else follows
+        by_points = follows and weights is None and self.material and self.surface is None
+        self.mean_weights, self.follows = weights, False if by_points else follows
 
     def __repr__(self) -> str:
         return f"the contact with '{self.body.name}'"

@@ -116,7 +116,7 @@ class EnergyBalance:
         self.ledger = ledger
         self._first: float | None = None
         self._last = self._most = self._stored = 0.0
-        self._dissipated = self._now = 0.0
+        self._dissipated = -math.inf
 
     def gain(self, begins: bool = False) -> str | None:
         """Message about energy gained without a cause, or None. Collective.
@@ -126,9 +126,6 @@ class EnergyBalance:
         than half of the larger one, and of a tenth of the strain energy that a body under stress
         has at first, shows that the step is too long. Half of this energy would be too much: it
         is many times that of a wave in ground at rest.
-
-        With F-bar the work of the stresses is that of means over cells. Single points may store
-        more than that. Then laws seem to give back what they have dissipated, with the same bound.
 
         Args:
             begins: Whether a call of `step` begins. The user may have changed energy of the points
@@ -145,35 +142,43 @@ class EnergyBalance:
         self._last = total
         self._most = max(self._most, abs(self._first), abs(work.external))
         gained = total - self._first
-        bound = max(0.5 * self._most, 0.1 * self._stored)
-        given = self._given_by_laws(begins)
-        stored = f", and {self._stored:.4g} J of first strain energy" if self._stored else ""
-        beside = f"beside {self._most:.4g} J of first energy and work of loads{stored}"
-        if given > bound > 0.0:
-            return (
-                f"laws with F-bar have given back {given:.4g} J of what they dissipated, {beside}; "
-                'fbar="volumes" does not'
-            )
-        if math.isfinite(total) and not gained > bound > 0.0:
+        if math.isfinite(total) and not gained > self._bound > 0.0:
             return None
-        return f"{gained:.4g} J have come from nowhere {beside}"
+        return f"{gained:.4g} J have come from nowhere {self._beside}"
 
-    def _given_by_laws(self, begins: bool) -> float:
-        """Energy that laws with F-bar have dissipated and given back (J). Collective.
+    @property
+    def _bound(self) -> float:
+        """Largest gain (J)."""
+        return max(0.5 * self._most, 0.1 * self._stored)
 
-        Args:
-            begins: See `gain`.
+    @property
+    def _beside(self) -> str:
+        """The energies beside which a gain is too large, for messages."""
+        stored = f", and {self._stored:.4g} J of first strain energy" if self._stored else ""
+        return f"beside {self._most:.4g} J of first energy and work of loads{stored}"
+
+    def given_back(self) -> str | None:
+        """Message about energy that laws with F-bar have given back, or None. Collective.
+
+        The work of their stresses is that of means over cells. Single points may store more than
+        that. Then the laws seem to give back what they have dissipated. The bound is that of
+        `gain`, which comes first.
         """
         now = self.ledger.dissipated
-        if not math.isfinite(now):
-            return 0.0
-        if begins:
-            # a stress that the user has set
-            self._dissipated += now - self._now
-        self._now, self._dissipated = now, max(self._dissipated, now)
-        return self._dissipated - now
+        self._dissipated = max(self._dissipated, now)
+        given = self._dissipated - now
+        if not given > self._bound > 0.0:
+            return None
+        return (
+            f"laws with F-bar have given back {given:.4g} J of what they dissipated, "
+            f'{self._beside}; fbar="volumes" does not'
+        )
+
+    def touched(self) -> None:
+        """What laws have dissipated counts from now on: the user has changed the points."""
+        self._dissipated = -math.inf
 
     def forget(self) -> None:
         """Discard the history: the next state is the new first state."""
         self._first, self._last, self._most, self._stored = None, 0.0, 0.0, 0.0
-        self._dissipated = self._now = 0.0
+        self.touched()

@@ -100,6 +100,7 @@ class CallMemory:
             fields count as changed.
         critical: The last critical step (s).
         steps_since: Number of steps since the critical step was found.
+        unchecked: Number of steps since the energy that laws dissipate was looked at.
         single: Whether the last call took one step. Calls with one step share a critical step. A
             call with several steps finds its own.
     """
@@ -108,6 +109,7 @@ class CallMemory:
     moment: int | None = None
     critical: float = math.nan
     steps_since: int = 0
+    unchecked: int = 0
     single: bool = False
 
     def touched(self, points: MaterialPoints) -> Set[str]:
@@ -192,6 +194,7 @@ class ExplicitCall:
             points = problem.points
             raise_together(problem.comm, points.error_in_fields() or overwritten(points))
             problem.form.check_new_tags()
+            problem.balance.touched()
         unseal_results(problem.points)
         if problem.form.adaptive:
             adapted = adapt(problem)
@@ -233,6 +236,7 @@ class ExplicitCall:
         now = problem.bodies.followed(dt, now)
         self._run(now, dt, now < min(count, self._most - parts))
         memory.steps_since += now
+        memory.unchecked += now
         if abs(problem.time - self._target) <= 1e-9 * dt:
             # rounding must not add a step
             problem.time = self._target
@@ -296,7 +300,11 @@ class ExplicitCall:
 
     def _check_energy(self, begins: bool = False) -> None:
         """Raise InstabilityError if energy grows without a cause. Collective."""
-        reason = self._problem.balance.gain(begins)
+        balance, memory = self._problem.balance, self._memory
+        reason = balance.gain(begins)
+        if reason is None and memory.unchecked >= _COPY_EVERY:
+            # strains of all points cost as much as two steps
+            reason, memory.unchecked = balance.given_back(), 0
         if reason is not None:
             raise self._unstable(reason, self._record.dt)
 
