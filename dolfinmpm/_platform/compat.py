@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import dataclasses
 import functools
 import importlib.util
 import inspect
@@ -16,12 +17,13 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, graph, jit, mesh
 from dolfinx.common import IndexMap
+from ffcx.naming import compute_signature
 from petsc4py import PETSc
 from ufl.algorithms import apply_restrictions as restrictions
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 
-from dolfinmpm._platform.jit import patiently
+from dolfinmpm._platform.jit import compiled_once
 
 _reasons = PETSc.SNES.ConvergedReason
 # SNES's reason where forces are no numbers, until PETSc 3.24 and later
@@ -141,8 +143,10 @@ def jit_expression(comm, expression, points) -> tuple[int, Any]:
     options = {"scalar_type": np.float64}
     # FFCx tells expressions apart by the labels of their variables, which no two have in common
     expression = map_expr_dag(_WithoutVariables(), expression)
-    compiled, module, _ = patiently(
-        comm, lambda: jit.ffcx_jit(comm, (expression, points), form_compiler_options=options)
+    compiled, module, _ = compiled_once(
+        comm,
+        compute_signature([(expression, points)], ""),
+        lambda: jit.ffcx_jit(comm, (expression, points), form_compiler_options=options),
     )
     function = compiled.tabulate_tensor_float64
     declared = len(module.ffi.typeof("ufcx_tabulate_tensor_float64 *").args)
@@ -164,10 +168,13 @@ def compile_form(comm, form: ufl.Form) -> Any:
     options = {"scalar_type": np.float64}
     flags = jit.get_options()["cffi_extra_compile_args"]
     quick = {"cffi_extra_compile_args": ["-O1" if flag == "-O2" else flag for flag in flags]}
-    return patiently(
+    known = compiled_once(
         comm,
+        compute_signature([form], ""),
         lambda: fem.compile_form(comm, form, form_compiler_options=options, jit_options=quick),
     )
+    # the compiled function is the same, the coefficients are this form's
+    return dataclasses.replace(known, ufl_form=form)
 
 
 def create_form(compiled, spaces, grid, subdomains, coefficients, constants) -> fem.Form:

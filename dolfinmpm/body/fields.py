@@ -9,10 +9,12 @@ import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
+from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import floats, nearest, shown
 from dolfinmpm._platform.errors import FieldShapeError, ParameterError, call_together
+from dolfinmpm.grid.lattice import once_per_grid
 from dolfinmpm.grid.userfunctions import call_function
 
 if TYPE_CHECKING:
@@ -41,10 +43,15 @@ _MAKERS = {
 
 def space_at(points: MaterialPoints, shape: tuple[int, ...]) -> ufl.FunctionSpace:
     """What UFL takes for the space of values at the points, of a shape per point."""
-    cell = points.grid.topology.cell_name()
+    return _space_of_shape(points.grid, shape)
+
+
+@once_per_grid
+def _space_of_shape(grid: Mesh, shape: tuple[int, ...]) -> ufl.FunctionSpace:
+    """See `space_at`: fields of one shape share their space, which takes long to make."""
     # degree 1: UFL would drop the gradient of a constant before a check can refuse it
-    element = basix.ufl.element("DG", cell, 1, shape=shape)
-    return ufl.FunctionSpace(points.grid.ufl_domain(), element)
+    element = basix.ufl.element("DG", grid.topology.cell_name(), 1, shape=shape)
+    return ufl.FunctionSpace(grid.ufl_domain(), element)
 
 
 class PointField(ufl.Coefficient):

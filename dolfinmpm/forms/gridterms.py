@@ -81,8 +81,9 @@ class GridTerms:
         result = []
         for space in spaces:
             others = {s.test: Zero(s.test.ufl_shape) for s in spaces if s is not space}
-            one = ufl.replace(whole, others) if others else whole
-            result.append(_without_zeros(expand_derivatives(one)))
+            # integrals come without derivatives of expressions
+            one = expand_derivatives(ufl.replace(whole, others)) if others else whole
+            result.append(_without_zeros(one))
         return result
 
     @functools.cached_property
@@ -95,7 +96,8 @@ class GridTerms:
                 form = None
                 if one is not None:
                     trial = ufl.TrialFunction(space.function_space)
-                    form = _without_zeros(ufl.derivative(one, space.increment, trial))
+                    derivative = ufl.derivative(one, space.increment, trial)
+                    form = _without_zeros(expand_derivatives(derivative))
                 row.append(form)
             jacobian.append(row)
         return jacobian
@@ -116,7 +118,7 @@ class GridTerms:
 def _without_zeros(form: ufl.Form) -> ufl.Form | None:
     """The form without integrals of zero, which UFL keeps; None if nothing is left."""
     kept = []
-    for integral in expand_derivatives(form).integrals():
+    for integral in form.integrals():
         terms = [t for t in summands(integral.integrand()) if ufl.algorithms.extract_arguments(t)]
         if terms:
             kept.append(integral.reconstruct(sum(terms[1:], start=terms[0])))

@@ -17,9 +17,13 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
+from dolfinmpm._platform.compat import (
+    compile_form,
+    create_form,
+    geometry_degree,
+    geometry_dofmap,
+)
 from dolfinmpm._platform.errors import UnsupportedGridError
-from dolfinmpm._platform.jit import patiently
 from dolfinmpm.grid.cellkinds import check_cells
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.linecells import FAR, coordinate_rounding
@@ -206,8 +210,8 @@ def require_lattice(grid: Mesh, what: str) -> Lattice:
 def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
     """Volumes of the local cells (m^gdim), shape (cells,); exact for straight-sided cells."""
     space = fem.functionspace(grid, ("DG", 0))
-    form = patiently(grid.comm, lambda: fem.form(ufl.TestFunction(space) * ufl.dx))
-    volumes = fem.assemble_vector(form)
+    compiled = compile_form(grid.comm, ufl.TestFunction(space) * ufl.dx)
+    volumes = fem.assemble_vector(create_form(compiled, [space], grid, {}, (), ()))
     volumes.scatter_forward()
     return np.abs(volumes.array)
 

@@ -164,3 +164,15 @@ def test_restrictions_in_each_version(version, monkeypatch):
 
 def test_forces_that_are_no_numbers_have_a_reason_in_each_version():
     assert compat.DIVERGED_NAN < 0
+
+
+def test_a_form_that_was_compiled_before_has_its_own_coefficients():
+    grid = unit_grid("interval", 2)
+    space = fem.functionspace(grid, ("DG", 0))
+    sums = []
+    for value in (3.0, 5.0):
+        c = fem.Constant(grid, value)
+        compiled = compat.compile_form(grid.comm, c * ufl.TestFunction(space) * ufl.dx)
+        form = compat.create_form(compiled, [space], grid, {}, (), [c])
+        sums.append(fem.assemble_vector(form).array.sum())
+    np.testing.assert_allclose(sums, [3.0, 5.0], rtol=1e-14)

@@ -117,3 +117,16 @@ def test_other_errors_pass():
 
     with pytest.raises(RuntimeError, match="no such element"):
         jit.patiently(COMM, build)
+
+
+def test_what_is_compiled_is_kept_under_its_signature():
+    calls = []
+
+    def build():
+        calls.append(len(calls))
+        return len(calls)
+
+    first = jit.compiled_once(COMM, "of this test", build)
+    assert jit.compiled_once(COMM, "of this test", build) == first
+    assert jit.compiled_once(COMM, "another of this test", build) != first
+    assert len(calls) == 2
