@@ -35,6 +35,7 @@ from dolfinmpm._platform.uncopied import Settled
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.facesofboundary import faces_of
+from dolfinmpm.body.facestates import displaced_faces
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.formsigns import PRESSURE, signed_form
 from dolfinmpm.body.points import MaterialPoints
@@ -358,11 +359,9 @@ class Surface(Settled):
 
         Args:
             x: Positions (m), shape (points, gdim).
-            F: Deformation gradients, shape (points, 3, 3) or (points, gdim, gdim).
+            F: Deformation gradients, with the shape of points["F"].
         """
-        R = self.points[self.offset.name]
-        now = np.einsum("pij,pj->pi", in_section(self.points, F), R)
-        return x - self.points["x0"] + (now - R)
+        return displaced_faces(self.points, self.points[self.offset.name], x, F)
 
     @collective
     def mean_displacement(self) -> Array:

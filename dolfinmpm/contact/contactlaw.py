@@ -26,9 +26,10 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import number, refuse_idle
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DoubtfulInputWarning, ParameterError, warn
 from dolfinmpm._platform.units import (
     FAR_MODULI,
     LARGEST_PENALTY,
@@ -55,6 +56,9 @@ USUAL_PENALTY = 5.0
 # block of 1 m with a strain of 1 % the force was off by 3e-5 with 1e9, by 0.04, 1.5 and 2.5 % with
 # 1e10, 1e11 and 1e12, and was 0 with 1e24
 _LARGEST = 1e9
+# Penalty below which another unit is likely: a block of four cells under a plate had 27 % of the
+# force with 0.1, 3.5 % with 0.01
+_SOFTEST = USUAL_PENALTY / FAR_MODULI
 # A point that slips does so at μ p, or it shears at τ A: between the two is a kink of the force
 FREE, STICKS, SLIPS, SHEARS = 0, 1, 2, 3
 
@@ -99,6 +103,15 @@ class ContactLaw:
             number("shear_limit", self.shear_limit, 0.0, unit="Pa")
         if self.penetration is not None:
             number("penetration", self.penetration, 0.0, unit="m")
+        elif self.stiffness is None and self.penalty < _SOFTEST:
+            warn(
+                MPI.COMM_WORLD,
+                f"penalty = {self.penalty:g} is in units of E/h, with Young's modulus and the size "
+                f"of the cells, and less than a hundredth of the usual {USUAL_PENALTY:g}: the "
+                "bodies pass into each other nearly without a force. Leave it out, or give a "
+                "Winkler stiffness as stiffness_per_area (Pa/m)",
+                DoubtfulInputWarning,
+            )
 
     def refuse_far(self, owner: str, E: float, cell: float) -> None:
         """Raise ParameterError if a given κ is far from the default one, as in kPa/m for Pa/m.

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.argumentchecks import refuse_idle, shown
+from dolfinmpm._platform.argumentchecks import floats, refuse_idle, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.meshfiles import read_mesh
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Ball, Box, Polygon, TurnedBox
 from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
 from dolfinmpm.contact.meshparts import check_parts, volume_of
@@ -51,6 +52,12 @@ def mesh_surface(mesh: Any) -> FacetedSurface:
     triangles = [np.asarray(b.data) for b in mesh.cells if b.type == "triangle"]
     lines = [np.asarray(b.data) for b in mesh.cells if b.type == "line"]
     if triangles:
+        if x.shape[1] < 3 or not np.ptp(x[np.concatenate(triangles)].reshape(-1, x.shape[1])[:, 2]):
+            raise ParameterError(
+                f"{name} has triangles in a plane, and a rigid body has a closed surface: in 2D "
+                "give its outline, mpm.RigidBody(mpm.Polygon(corners), ...), or a mesh of lines "
+                "with the body to the left of each"
+            )
         return checked(x[:, :3], np.concatenate(triangles), name)
     if lines:
         return checked(x[:, :2], np.concatenate(lines), name)
@@ -244,6 +251,17 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
     if isinstance(shape, (str, os.PathLike)) or type(shape).__module__.startswith("meshio"):
         surface = mesh_surface(shape)
         return filleted(surface, fillet) if fillet else surface
+    corners = floats(shape)
+    if corners is not None and corners.ndim == 2 and corners.shape[1] == 2:
+        raise ParameterError(
+            f"shape has {len(corners)} positions, and a rigid body needs a shape: give the corners "
+            "of its outline in order, mpm.RigidBody(mpm.Polygon(corners), ...)"
+        )
+    if isinstance(shape, MaterialPoints):
+        raise ParameterError(
+            "shape = MaterialPoints is a body that deforms: give the shape itself, such as the Box "
+            "or Polygon that mpm.fill took"
+        )
     raise ParameterError(
         f"shape = {shown(shape)} is none of a rigid body: give Plane, Disc, Ball, Box, TurnedBox, "
         "Polygon, Wedge, Cone, or a closed surface mesh of triangles"

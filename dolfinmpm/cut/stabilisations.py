@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import ufl
+from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import choice, number, shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DoubtfulInputWarning, ParameterError, warn
 from dolfinmpm._platform.uncopied import unchanged
 from dolfinmpm._platform.units import LARGEST_MODULUS
 from dolfinmpm.basis import Placement, Stencils
@@ -51,6 +52,8 @@ _OWN = {
 WEAK_FACTORS = {1: 1.0, 2: 0.3, 3: 0.1}
 # Fill fractions below which nodes are constrained to others
 THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
+# Factor beyond all usual ones, which are at most 1e4
+_LARGEST_USUAL = 1e6
 
 
 @unchanged()
@@ -130,7 +133,7 @@ class Stabilisation:
         if isinstance(self.factor, str) and self.kind == "ghost":
             check_word("stabilisation's factor", self.factor)
         elif self.factor is not None:
-            penalty_factor("stabilisation's factor", self.factor)
+            self._check_factor(self.factor)
         if self.target is not None:
             number("stabilisation's target", self.target, 1.0)
         if self.threshold is not None:
@@ -151,6 +154,18 @@ class Stabilisation:
             raise ParameterError(
                 f'stabilisation\'s target = {self.target:g} belongs to factor="{ADAPTIVE}" only'
             )
+
+    def _check_factor(self, factor: Any) -> None:
+        """Raise ParameterError for no factor, and warn of one beyond all usual ones."""
+        if penalty_factor("stabilisation's factor", factor) <= _LARGEST_USUAL:
+            return
+        warn(
+            MPI.COMM_WORLD,
+            f"stabilisation's factor = {factor:g} multiplies the usual penalty, which has 1 on "
+            "linear functions and GIMP, 100 and 1e4 on splines: the body becomes too stiff near "
+            "its cuts. It is no modulus: give that as E=",
+            DoubtfulInputWarning,
+        )
 
     @property
     def needs_modulus(self) -> bool:

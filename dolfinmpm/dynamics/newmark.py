@@ -12,16 +12,18 @@ w = (1 − α_f) u, under the loads at that time, with the acceleration (1 − �
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import choice, number
 from dolfinmpm._platform.collective import collective
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DoubtfulInputWarning, ParameterError, warn
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
@@ -45,6 +47,10 @@ from dolfinmpm.solve.problemchecks import refuse_field_tags
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
 __all__ = ["GeneralisedAlpha", "Newmark", "TimeStepping"]
+
+
+# β of the rule of Fox and Goodwin, less its rounding
+_LEAST_BETA = 0.083
 
 
 class TimeStepping(MovingBody, QuasiStatic):
@@ -220,6 +226,14 @@ class Newmark(TimeStepping):
                 "step to step, even in short steps"
             )
         rule = NewmarkRule(number("beta", beta, 0.0), float(gamma))
+        if rule.beta < _LEAST_BETA:
+            warn(
+                points.comm if isinstance(points, MaterialPoints) else MPI.COMM_WORLD,
+                f"beta = {rule.beta:g} is below those of the usual rules, 1/12, 1/6 and 1/4: the "
+                f"steps are stable only up to {1 / math.sqrt(rule.gamma / 2 - rule.beta):.3g} over "
+                "the highest angular frequency of the grid; take beta=0.25",
+                DoubtfulInputWarning,
+            )
         super().__init__(rule, form, increment, points, bcs, **options)
 
 

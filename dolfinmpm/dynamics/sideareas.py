@@ -16,12 +16,14 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import IdleConditionWarning, ParameterError, warn
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
+from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.groundcolumn import integrals_within
+from dolfinmpm.grid.lattice import largest_cell
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -54,6 +56,26 @@ def check_beyond(
     if given:
         _refuse_light(given, points)
         _refuse_slow(given, points, declarations)
+        _warn_of_untouched(given, points)
+
+
+def _warn_of_untouched(given: Sequence[Any], points: MaterialPoints) -> None:
+    """Warn of absorbing sides further than a cell from the body, which do nothing. Collective."""
+    low, high = bounds(points.grid)
+    x, half = points["x"], points["l"]
+    gaps = np.array([(x - half).min(axis=0, initial=np.inf) - low,
+                     high - (x + half).max(axis=0, initial=-np.inf)])  # fmt: skip
+    points.comm.Allreduce(MPI.IN_PLACE, gaps, op=MPI.MIN)
+    for face in given:
+        gap = gaps[1 if face.end else 0, face.axis]
+        if gap > largest_cell(points.grid):
+            warn(
+                points.comm,
+                f"the absorbing side '{face.where}' of the grid is {gap:.4g} m from the body and "
+                "does nothing: names of sides mean sides of the grid; let the grid end at the "
+                "body, or hold the body elsewhere by a function of positions",
+                IdleConditionWarning,
+            )
 
 
 def _refuse_light(given: Sequence[Any], points: MaterialPoints) -> None:

@@ -182,6 +182,17 @@ class NewmarkScheme(TimedScheme):
         super().__init__(error, constant)
         self.rule, self.ties_movers, self.jumped = rule, ties_movers, False
 
+    def remark_on(self, step: int) -> str:
+        """See `Static.remark_on`."""
+        rule = self.rule
+        if rule.beta >= 0.5 * rule.gamma or rule.alpha_m or rule.alpha_f:
+            return ""
+        return (
+            f". beta = {rule.beta:.4g} is below gamma/2 = {0.5 * rule.gamma:.4g}: in long steps "
+            "vibrations grow without bound; take beta=0.25, or steps much shorter than a wave "
+            "needs for a cell"
+        )
+
     @property
     def mean_weights(self) -> MeanForceWeights:
         """Weights of contact forces in the mean over a step."""

@@ -30,7 +30,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
 from dolfinmpm.forms.termqueries import brief, summands, tags_of, term_of
 
-__all__ = ["check_repeated", "check_weights", "warn_of_second_inertia"]
+__all__ = ["check_repeated", "check_weights", "same_points", "warn_of_second_inertia"]
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def check_weights(form: ufl.Form) -> None:
     heavy = [(i, field) for i in form.integrals() for field in _with_gravity(i)]
     for mixture, field in heavy:
         for integral in form.integrals():
-            if integral is mixture or not _same_points(mixture, integral):
+            if integral is mixture or not same_points(mixture, integral):
                 continue
             term = integral.integrand()
             if extract_arguments(term) and _has_density(term) and _same_acceleration(field, term):
@@ -117,7 +117,7 @@ def check_repeated(form: ufl.Form) -> None:
         if "points" not in marks or "law" in marks or term_of(integral) is not None:
             continue
         for other in seen:
-            if _same_points(integral, other) and _same(integral.integrand(), other.integrand(), {}):
+            if same_points(integral, other) and _same(integral.integrand(), other.integrand(), {}):
                 raise FormError(
                     f"the form has the term '{brief(integral.integrand())}' twice for the same "
                     "points, and it would act twice: leave one out, or write a factor of 2. A line "
@@ -148,7 +148,7 @@ def _with_gravity(integral: ufl.Integral) -> Iterator[CarriedField]:
             yield field
 
 
-def _same_points(a: ufl.Integral, b: ufl.Integral) -> bool:
+def same_points(a: ufl.Integral, b: ufl.Integral) -> bool:
     """Whether some points integrate both terms."""
     number = (a.metadata() or {}).get("points")
     if number is None or (b.metadata() or {}).get("points") != number:

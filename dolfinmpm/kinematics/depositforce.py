@@ -12,6 +12,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.kinematics.groundunits import warn_of_weights
 
 if TYPE_CHECKING:
     from dolfinmpm.kinematics.deposits import Deposit
@@ -26,6 +27,7 @@ def effective_force(ground: Deposit, points: MaterialPoints) -> Expr:
     values = call_together(points.comm, lambda: ground.effective_weight(points["x"].T))
     weight = points.add_field("effective_weight", (), "N/m^d")
     points["effective_weight"] = values
+    warn_of_weights(points, values)
     weight.first = lambda x: _weight_of_fill(ground, x)
     level: list[Expr] = [ufl.as_ufl(0.0)] * (points.gdim - 1)
     if callable(ground.water_table) and level:

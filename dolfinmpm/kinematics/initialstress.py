@@ -21,7 +21,8 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.body.pointchecks import seal_stress
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.userfunctions import call_function
-from dolfinmpm.kinematics.deposits import check_dimension
+from dolfinmpm.kinematics.deposits import Deposit, check_dimension
+from dolfinmpm.kinematics.groundunits import warn_of_weights
 from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
 from dolfinmpm.kinematics.strainhistory import GIVEN, MARKS
 from dolfinmpm.materials.elasticinverse import belong, elastic_strain
@@ -37,7 +38,7 @@ _ANOTHER = 1e-6
 # Distance beyond the yield surface, by the largest stress, that is rounding
 _ROUND_OFF = 1e-9
 # No ground has a larger K0: a larger number is a weight in the wrong place
-_MOST_K0 = 100.0
+_MOST_K0 = 20.0
 
 
 def _array(stress: npt.ArrayLike, n: int) -> Array:
@@ -168,6 +169,9 @@ def write_stress(
     sigma = call_together(points.comm, lambda: _given(formulation, stress, rows))
     if callable(stress):
         _refuse_nothing(points, sigma, rows)
+        weight = _unit_weights(stress)
+        if weight is not None:
+            warn_of_weights(points, weight(points["x"][rows].T), rows)
     if formulation.from_stress:
         raise_together(points.comm, _beyond_strength(formulation, sigma, rows))
     else:
@@ -177,6 +181,14 @@ def write_stress(
     points["stress"][rows] = sigma
     points["moved_under"][rows] = MARKS[formulation.strain] + GIVEN
     seal_stress(points)
+
+
+def _unit_weights(stress: Any) -> Callable[[Array], npt.ArrayLike] | None:
+    """Unit weights of the ground (N/m³) by position, if its stress follows from them, or None."""
+    ground = getattr(stress, "__self__", None)
+    if isinstance(ground, Deposit):
+        return ground.effective_weight
+    return getattr(stress, "unit_weight", None)
 
 
 def _refuse_nothing(points: MaterialPoints, sigma: Array, rows: Rows) -> None:
@@ -275,7 +287,7 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
         (n, 3, 3), positive in tension.
 
     Raises:
-        ParameterError: A number is not finite; weight or K0 is negative; K0 is above 100; or
+        ParameterError: A number is not finite; weight or K0 is negative; K0 is above 20; or
             surface and weight look swapped. The returned function raises it for values at points.
 
     >>> import dolfinmpm as mpm
@@ -330,4 +342,10 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
             result[:, i, i] = vertical if i == len(x) - 1 else ratio * vertical
         return result
 
+    def unit_weight(x: Array) -> npt.ArrayLike:
+        given: Any = weight
+        return call_function("weight", given, x.T) if callable(given) else np.asarray(given)
+
+    # an attribute, so that `set_stress` can compare it with the densities of the points
+    stress.unit_weight = unit_weight  # type: ignore[attr-defined]
     return stress

@@ -80,12 +80,15 @@ def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: fl
         done: Converged share of the step.
         share: Share of the last substep.
     """
+    number, thrown = len(problem.history) + 1, "NAN" in failed.reason or "out of" in failed.reason
+    remark = problem.scheme.remark_on(number) if thrown and not done else ""
     return (
-        f"step {len(problem.history) + 1} failed at {done + share:.4g} of its load "
+        f"step {number} failed at {done + share:.4g} of its load "
         f"({problem.loads.describe()}) with substeps of {share:.3g}; the reason is "
         f"{failed.reason}; the relative out-of-balance force is {problem.last_residual} (tolerance "
         f"{problem.tolerance:g}); the worst is {failed.worst}. The state is that at "
         f"{done:.4g} of the step: {failed.advice or advice_on(problem)}{failed.remark}"
+        f"{remark}"
     )
 
 

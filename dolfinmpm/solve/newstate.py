@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -106,7 +106,7 @@ def new_state(
         if comm.allreduce(bool(far), op=MPI.LOR):
             # Newton's method may find an equilibrium beyond a singular state
             return "material points would be thrown out of the grid, further than a cell"
-        raise_together(comm, _outside(points, new["x"], lost, number))
+        raise_together(comm, _outside(points, new["x"], lost, number, problem.scheme))
     for term in operator.others:
         term.follow(state, number)
     return state
@@ -237,7 +237,9 @@ def _out_of_bounds(
     return next((text for text in points.comm.allgather(found) if text is not None), None)
 
 
-def _outside(points: MaterialPoints, x: Array, lost, step: int) -> PointsOutsideGridError | None:
+def _outside(
+    points: MaterialPoints, x: Array, lost, step: int, scheme: Any
+) -> PointsOutsideGridError | None:
     """The error about points that would leave the grid, or None."""
     if lost.size == 0:
         return None
@@ -245,5 +247,5 @@ def _outside(points: MaterialPoints, x: Array, lost, step: int) -> PointsOutside
     return PointsOutsideGridError(
         f"{lost.size} material points would leave the grid in step {step}; point "
         f"{points['id'][p]} goes from {points['x'][p]} m to {x[p]} m. The state is that before it: "
-        "enlarge the grid or hold the points with boundary conditions"
+        f"enlarge the grid or hold the points with boundary conditions{scheme.remark_on(step)}"
     )

@@ -62,8 +62,7 @@ from dolfinmpm.solve.problemchecks import (
     check_kinds_of_conditions,
     check_times,
     refuse_rates,
-    warn_of_conditions,
-    warn_of_free_axis,
+    warn_at_start,
 )
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
@@ -343,10 +342,7 @@ class Problem(Uncopied, ReadOnce):
         if self.form.boundaries:
             self._set_penalties(self.here)
         if first and kept is None:
-            warn_of_free_axis(self.points, self.here)
-            # a body that moves in time may reach a side later
-            if not self.scheme.in_time:
-                warn_of_conditions(self, step is not None)
+            warn_at_start(self, step is not None)
         return self.here
 
     def _set_penalties(self, here: Activation) -> None:

@@ -34,7 +34,9 @@ from dolfinmpm.cut.conditionsonleaves import on_leaves
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.formchecks import check_moving
 from dolfinmpm.forms.termqueries import depends_on
+from dolfinmpm.forms.weightdirection import warn_of_weight
 from dolfinmpm.grid.constants import is_own
+from dolfinmpm.solve.firststress import warn_of_unstressed
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -47,8 +49,7 @@ __all__ = [
     "refuse_field_tags",
     "refuse_rates",
     "refuse_time",
-    "warn_of_conditions",
-    "warn_of_free_axis",
+    "warn_at_start",
 ]
 
 # A domain reaches the axis if it ends within this share of its half-length from the axis
@@ -252,6 +253,17 @@ def check_pressure_conditions(conditions: Sequence[Condition], here: Activation)
             "from there: hold the pressure where the body is, by a function of positions, or on "
             "its own surface, mpm.poromechanics(..., drained=surface)"
         )
+
+
+def warn_at_start(problem: Any, steps: bool) -> None:
+    """Warnings of a problem at its first activation; see `warn_of_conditions`. Collective."""
+    warn_of_free_axis(problem.points, problem.here)
+    # a body that moves in time may reach a side later
+    if not problem.scheme.in_time:
+        warn_of_conditions(problem, steps)
+    if steps:
+        warn_of_unstressed(problem.points, problem.form.parts.declarations)
+        warn_of_weight(problem.form.given, problem.points)
 
 
 def warn_of_conditions(problem: Any, steps: bool) -> None:

@@ -68,6 +68,14 @@ class Scheme:
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Restore a state returned by `state`. Collective."""
 
+    def remark_on(self, step: int) -> str:
+        """Remark for the message about a step that failed from its start, or "".
+
+        Args:
+            step: Number of the step, from 1.
+        """
+        return ""
+
 
 class Static(Scheme):
     """Forces balance at the end of each step, without inertia. Steps are shares of the load."""
@@ -84,6 +92,15 @@ class Static(Scheme):
         """
         if t is not None:
             refuse_time(t, type(problem).__name__)
+
+    def remark_on(self, step: int) -> str:
+        """See `Scheme.remark_on`."""
+        if step > 1:
+            return ""
+        return (
+            ". A first step that fails may have moduli and loads in different units: compare the "
+            "modulus of the law (Pa) with the largest stress"
+        )
 
     def adapted(self) -> None:
         """Points have followed the leaves since `begin`. Collective."""

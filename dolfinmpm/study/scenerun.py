@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+import difflib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import (
     check_dictionary,
@@ -20,10 +22,12 @@ from dolfinmpm._platform.argumentchecks import (
     truth,
 )
 from dolfinmpm._platform.errors import (
+    DoubtfulInputWarning,
     ParameterError,
     UnknownNameError,
     call_together,
     raise_together,
+    warn,
 )
 from dolfinmpm._platform.uncopied import Unchanged
 from dolfinmpm.body.points import MaterialPoints
@@ -36,6 +40,9 @@ _RETURNED: WeakSet[MaterialPoints] = WeakSet()
 Scene = Callable[[dict[str, float]], "Run"]
 # What has items that are no steps
 _NO_STEPS = (str, bytes, Mapping, Set, np.ndarray)
+
+# Likeness of two names of parameters that may be one, such as E and E0
+_LIKE = 0.6
 
 
 @dataclass
@@ -103,7 +110,50 @@ class Run(Unchanged):
 
 
 class _Parameters(dict[str, float]):
-    """Parameters of a run, with a message where a scene asks for another one."""
+    """Parameters of a run, with a message where a scene asks for another one.
+
+    Attributes:
+        read: Names that the scene has asked for.
+        absent: Names that it has asked for by `get`, and that are not there.
+    """
+
+    def __init__(self, given: Mapping[str, float]):
+        super().__init__(given)
+        self.read: set[str] = set()
+        self.absent: set[str] = set()
+
+    def __getitem__(self, name: str) -> float:
+        self.read.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        (self.read if name in self else self.absent).add(name)
+        return super().get(name, default)
+
+    def __iter__(self) -> Iterator[str]:
+        # a scene may hand all of them on
+        self.read.update(self.keys())
+        return super().__iter__()
+
+    def items(self) -> Any:
+        self.read.update(self.keys())
+        return super().items()
+
+    def values(self) -> Any:
+        self.read.update(self.keys())
+        return super().values()
+
+    def warn_of_misspelt(self, comm: MPI.Intracomm) -> None:
+        """Warn, before a run takes its time, of a parameter that the scene has by another name."""
+        for name in [one for one in self.keys() if one not in self.read]:
+            near = difflib.get_close_matches(name, sorted(self.absent), 1, _LIKE)
+            if near:
+                warn(
+                    comm,
+                    f"the study gives the scene the parameter '{name}', and the scene has not "
+                    f"read it, but asked for '{near[0]}' with a default: it may be misspelt",
+                    DoubtfulInputWarning,
+                )
 
     def __missing__(self, name: str) -> float:
         # a KeyError too, so that a scene may catch it as that of any dictionary
@@ -139,11 +189,15 @@ def built(scene: Callable[..., Any], *arguments: Any, limit: str | None = None) 
             points are those of an earlier run, and have moved.
     """
     check_takes("scene", scene, *arguments)
-    run = scene(*(_Parameters(a) if isinstance(a, dict) else a for a in arguments))
+    given = [_Parameters(a) if isinstance(a, dict) else a for a in arguments]
+    run = scene(*given)
     check_kind("the result of scene", run, Run, "return study.Run(problem, steps, measured)")
     for problem in run.problems:
         raise_together(problem.comm, None if run.given else _moved_before(problem.points))
         _RETURNED.add(problem.points)
+    for one in given:
+        if isinstance(one, _Parameters) and run.problems:
+            one.warn_of_misspelt(run.problems[0].comm)
     if limit is not None and limit not in run.measured:
         raise ParameterError(
             f"limit = {shown(limit)} is no figure of the scene; its figures are "

@@ -109,6 +109,7 @@ def test_explicit_steps_tell_of_bodies_that_are_too_fast(free, fused):
         block.problem.step(1e-2)
 
 
+@pytest.mark.filterwarnings("ignore:penalty = 0.0001 is")
 @pytest.mark.parametrize("fused", [True, False])
 def test_explicit_steps_tell_of_bodies_that_get_through_what_is_soft(fused):
     """In steps that are short enough, against a penalty that stops nothing."""

@@ -257,6 +257,7 @@ def test_velocities_in_time(scheme, d):
 RUBBING = [("musl", 2), *(pytest.param(*one, marks=LONG) for one in [("usl", 2), ("musl", 3)])]
 
 
+@pytest.mark.filterwarnings("ignore:the absorbing side")
 @pytest.mark.parametrize(("scheme", "d"), RUBBING)
 def test_sides_that_rub_and_let_waves_out(scheme, d):
     def conditions(V):

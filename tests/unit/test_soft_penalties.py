@@ -8,7 +8,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DoubtfulInputWarning, ParameterError
 
 SOIL = mpm.materials.Hencky(1e7, 0.3)
 
@@ -49,7 +49,8 @@ def test_the_stiffness_of_a_contact(tag):
 
     # the default is 5 E/h
     problem(stiffness_per_area=0.0501 * 1e7 / 0.5)
-    problem(penalty=1e-3)
+    with pytest.warns(DoubtfulInputWarning, match="penalty = 0.001"):
+        problem(penalty=1e-3)
     with pytest.raises(
         ParameterError, match=r"usual 5 E/h = 1e\+08 Pa/m \(E = 1e\+07 Pa.*give penalty=0.005"
     ):
