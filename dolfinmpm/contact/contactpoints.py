@@ -156,9 +156,11 @@ class ActiveContact(ActiveTerm):
         clings: Whether a contact holds what touched before where nothing has moved yet, so that
             the first iteration of Newton's method takes it along with a body that goes away.
         pushes: Whether it moves the points by a motion of its own, as a rigid body does.
+        depths: Largest penetrations at the augmentations of this substep (m).
     """
 
     kind = "contact"
+    depths: Sequence[float] = ()
     clings: bool
     pushes: bool = False
     contact: Any
@@ -220,6 +222,7 @@ class ActiveContact(ActiveTerm):
             return False
         deepest = float(-self.now.gap.min(initial=0.0))
         deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
+        self.depths = [*self.depths, deepest]
         if deepest <= bound:
             return False
         self.start.multiplier = self.now.normal.copy()

@@ -21,6 +21,7 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.pointchecks import overwritten
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.incompatiblegaps import gaps_stay
 from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve import failures
 from dolfinmpm.solve.adaptation import adapt
@@ -311,7 +312,7 @@ class QuasiStatic(Problem):
         self._record.unknowns = operator.here.unknowns.total
         self.newton.guess.length = step.dt
         for contact in operator.contacts:
-            contact.clings = True
+            contact.clings, contact.depths = True, []
         # multipliers of contact bound the penetration: they change between solutions
         for _ in range(_MOST_AUGMENTATIONS):
             with stages.solve:
@@ -319,13 +320,12 @@ class QuasiStatic(Problem):
             self._record_solution(outcome)
             if outcome.reason is not None:
                 break
-            augmented = [contact.augment() for contact in operator.contacts]
-            if not any(augmented):
+            exceeding = [contact for contact in operator.contacts if contact.augment()]
+            if not exceeding or gaps_stay(exceeding):
                 break
         else:
             outcome.reason = (
-                f"{_MOST_AUGMENTATIONS} augmentations do not bound the penetration; take a larger "
-                "penalty"
+                f"{_MOST_AUGMENTATIONS} augmentations bound no penetration; take a larger penalty"
             )
         state: NewState | str | None = outcome.reason
         if state is None:

@@ -188,3 +188,22 @@ def test_absorbing_side_away_from_the_body():
     sides = mpm.absorbing(block.V, "top", density=2000.0, p_speed=100.0)
     with pytest.warns(IdleConditionWarning, match="'top' of the grid is 2 m from the body"):
         mpm.Newmark(block.F, block.u, block.points, mpm.fixed(block.V, "bottom") + sides)
+
+
+def test_penetration_that_faces_cannot_keep():
+    grid = mpm.create_lattice(MPI.COMM_WORLD, [range(7)] * 2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 4)), per_cell=2, density=2000.0)
+    V = mpm.Space(grid, "gimp")
+    plate = mpm.RigidBody(mpm.Box((-1, 4), (5, 5)), increment=(0, -0.05), name="plate")
+    top = mpm.Boundary.from_polygon(points, [(4, 4), (0, 4)], closed=False)
+    F = mpm.momentum(mpm.materials.Hencky(10e6, 0.3), points, V.increment, V.test)
+    F += mpm.contact(plate, points, V.increment, V.test, penetration=1e-6, surface=top)
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+    with pytest.warns(DoubtfulInputWarning, match=r"follow them no closer.*give penetration=3e-05"):
+        record = problem.step()
+    # without an end of the augmentation the step had 105 parts
+    assert record.parts == 1
+    assert record.iterations < 30
+    # that of corners in place of faces, whose gaps close
+    assert plate.force[1] == pytest.approx(592230, rel=1e-4)
