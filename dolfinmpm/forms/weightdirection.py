@@ -43,7 +43,12 @@ def warn_of_weight(form: ufl.Form, points: MaterialPoints) -> None:
     effective: list[ufl.Integral] = []
     for integral in form.integrals():
         marks = integral.metadata() or {}
-        if any(getattr(field, "gravity", None) is not None for field in marks.get(CARRIED, ())):
+        own = [getattr(field, "gravity", None) for field in marks.get(CARRIED, ())]
+        mixture = next((g for g in own if g is not None), None)
+        if mixture is not None:
+            a = _values(mixture, points)
+            if a is not None and points.gdim > 1 and a[-1] > np.linalg.norm(a[:-1]):
+                _warn_of_direction(points, "gravity of mpm.poromechanics")
             return
         for term in summands(integral.integrand()):
             names = {c.name for c in extract_coefficients(term) if isinstance(c, PointField)}
@@ -51,7 +56,7 @@ def warn_of_weight(form: ufl.Form, points: MaterialPoints) -> None:
                 effective.append(integral)
                 found = _acceleration(term, points)
                 if found is not None and found.shape == (points.gdim,) and found[-1] < 0.0:
-                    _warn_of_direction(points, term)
+                    _warn_of_direction(points, brief(term))
                     return
             elif names == {"density"}:
                 found = _acceleration(term, points)
@@ -62,7 +67,7 @@ def warn_of_weight(form: ufl.Form, points: MaterialPoints) -> None:
         return
     total = np.sum([a for *_, a in weights], axis=0)
     if not effective and total[-1] > np.linalg.norm(total[:-1]):
-        _warn_of_direction(points, weights[0][1])
+        _warn_of_direction(points, brief(weights[0][1]))
         return
     for integral, term, a in weights:
         if a[-1] < -_NO_WEIGHT and any(same_points(integral, other) for other in effective):
@@ -75,10 +80,10 @@ def warn_of_weight(form: ufl.Form, points: MaterialPoints) -> None:
             return
 
 
-def _warn_of_direction(points: MaterialPoints, term: Expr) -> None:
+def _warn_of_direction(points: MaterialPoints, what: str) -> None:
     warn(
         points.comm,
-        f"the weight '{brief(term)}' acts upward, along the last axis: loads are subtracted, F -= "
+        f"the weight '{what}' acts upward, along the last axis: loads are subtracted, F -= "
         "ufl.inner(points.density * gravity, v) * points.dX, with gravity = (0, -9.81)",
         DoubtfulInputWarning,
     )
@@ -109,3 +114,14 @@ def _acceleration(term: Expr, points: MaterialPoints) -> Array | None:
         # UFL evaluates products of numbers, and not all else that a term may contain
         return None
     return found if np.isfinite(found).all() else None
+
+
+def _values(vector: Expr, points: MaterialPoints) -> Array | None:
+    """Components of a vector of numbers and constants, or None for another one."""
+    given = {c: np.asarray(c.value, float) for c in extract_constants(vector)}
+    values: dict[Any, Any] = {c: v if v.ndim else v.item() for c, v in given.items()}
+    try:
+        found = [vector[i]((0.0,) * points.gdim, values) for i in range(points.gdim)]
+    except Exception:
+        return None
+    return np.array(found, float)

@@ -96,6 +96,18 @@ def test_body_force_with_the_wrong_sign_or_beside_the_weight():
         block.problem(block.F - block.weight() - force).step()
 
 
+def test_gravity_of_a_mixture_with_the_wrong_sign():
+    block = Block()
+    Q = mpm.Space(block.grid, "gimp", shape=())
+    fields, tests = (block.u, Q.increment), (block.v, Q.test)
+    water = {"permeability": 1e-6, "porosity": 0.4, "gravity": (0.0, 9.81)}
+    F = mpm.poromechanics(block.law, block.points, fields, tests, **water)
+    stabilisation = ["ghost", "ghost"]
+    problem = mpm.Transient(F, fields, block.points, block.bcs, stabilisation=stabilisation)
+    with pytest.warns(DoubtfulInputWarning, match="'gravity of mpm.poromechanics' acts upward"):
+        problem.step(1.0)
+
+
 def test_accelerations_that_act_upward_beside_a_weight():
     block = Block()
     block.problem(block.F - block.weight() - block.weight(3.0)).step()
