@@ -189,8 +189,7 @@ class NewmarkScheme(TimedScheme):
             return ""
         return (
             f". beta = {rule.beta:.4g} is below gamma/2 = {0.5 * rule.gamma:.4g}: in long steps "
-            "vibrations grow without bound; take beta=0.25, or steps much shorter than a wave "
-            "needs for a cell"
+            "vibrations grow without bound; take beta=0.25, or much shorter steps"
         )
 
     @property

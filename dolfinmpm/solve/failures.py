@@ -22,6 +22,7 @@ from dolfinmpm.contact.facetedsurface import FacetedSurface
 from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.activecells import active_on_grid
 from dolfinmpm.kinematics.nitsche import WeakCondition
+from dolfinmpm.solve.firststress import remark_on_unstressed
 from dolfinmpm.solve.loosepieces import loose_piece
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
@@ -82,6 +83,8 @@ def why_step_failed(problem: QuasiStatic, failed: Failed, done: float, share: fl
     """
     number, thrown = len(problem.history) + 1, "NAN" in failed.reason or "out of" in failed.reason
     remark = problem.scheme.remark_on(number) if thrown and not done else ""
+    if number == 1 and not done:
+        remark += remark_on_unstressed(problem.points, problem.form.parts.declarations)
     return (
         f"step {number} failed at {done + share:.4g} of its load "
         f"({problem.loads.describe()}) with substeps of {share:.3g}; the reason is "

@@ -36,7 +36,6 @@ from dolfinmpm.forms.formchecks import check_moving
 from dolfinmpm.forms.termqueries import depends_on
 from dolfinmpm.forms.weightdirection import warn_of_weight
 from dolfinmpm.grid.constants import is_own
-from dolfinmpm.solve.firststress import warn_of_unstressed
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -262,7 +261,6 @@ def warn_at_start(problem: Any, steps: bool) -> None:
     if not problem.scheme.in_time:
         warn_of_conditions(problem, steps)
     if steps:
-        warn_of_unstressed(problem.points, problem.form.parts.declarations)
         warn_of_weight(problem.form.given, problem.points)
 
 

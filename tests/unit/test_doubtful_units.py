@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-
 import meshio
 import numpy as np
 import pytest
@@ -132,11 +130,8 @@ def test_factor_of_a_ghost_penalty_that_is_a_modulus():
 def test_cam_clay_without_a_stress():
     law = mpm.materials.CamClay(**CLAY, reference_pressure=20e3, preconsolidation=60e3)
     block = Block(law)
-    with (
-        pytest.warns(DoubtfulInputWarning, match="8 points of CamClay begin without"),
-        contextlib.suppress(ConvergenceError),
-    ):
-        block.problem(max_iterations=3, max_halvings=1).step()
+    with pytest.raises(ConvergenceError, match="8 points of CamClay begin without a given stress"):
+        block.problem(max_iterations=1, max_halvings=1).step()
     block = Block(law)
     problem = block.problem(block.F)
     mpm.set_stress(law, block.points, -20e3 * np.eye(3))

@@ -33,6 +33,8 @@ def stored(problem):
     return (now.kinetic + now.bodies + now.strain + now.contact) / now.initial
 
 
+# the softness is meant
+@pytest.mark.filterwarnings("ignore:penalty = 0.005 is in units of E/h")
 @pytest.mark.parametrize(("scheme", "fused"), ORDERS)
 def test_a_block_bounces_on_a_soft_plane(scheme, fused):
     """For half a period; the force is that of the penetration, and the energy stays."""
