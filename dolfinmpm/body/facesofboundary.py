@@ -28,8 +28,6 @@ Rows = npt.NDArray[np.intp]
 
 # Least cosine of the angle between the normals of a face and of its markers
 _ALIKE = 0.7
-# Relative difference of areas that is rounding
-_ROUNDING = 1e-9
 # Points among which a marker at an edge looks for a face
 _BESIDE = 16
 # Least sum of a point's markers, as a share of the sum of their sizes: 0.71 at a right angle that
@@ -144,9 +142,7 @@ def _main_normals(markers: _Markers, at: Rows, rows: Rows, count: int) -> Array:
     for group in np.split(order, np.flatnonzero(np.diff(rows[order])) + 1) if rows.size else ():
         n, a = markers.normal[at[group]], markers.area[at[group]]
         alike = n @ n.T >= _ALIKE
-        most = alike @ np.linalg.norm(a, axis=1)
-        # of sides that have equal parts of the point the first one, whatever rounding makes of them
-        face = alike[np.argmax(most >= (1.0 - _ROUNDING) * most.max())]
+        face = alike[np.argmax(alike @ np.linalg.norm(a, axis=1))]
         whole = a[face].sum(axis=0)
         main[rows[group[0]]] = whole / np.linalg.norm(whole)
     return main

@@ -10,12 +10,15 @@ from conftest import COMM
 from dolfinx import fem, jit, mesh
 
 import dolfinmpm as mpm
+from dolfinmpm._platform import jit as loaded
 
 
 @pytest.fixture
 def compiled(tmp_path, monkeypatch):
     """A function that names what has been compiled into an empty cache so far."""
     monkeypatch.setitem(jit.DOLFINX_DEFAULT_JIT_OPTIONS, "cache_dir", (tmp_path, ""))
+    # what this process has loaded is not compiled again
+    monkeypatch.setattr(loaded, "_compiled", {})
     return lambda: {path.name for path in tmp_path.glob("*.c")}
 
 

@@ -315,14 +315,3 @@ def test_a_free_block_on_ground_that_a_boundary_holds(method):
     assert record.halvings == 0
     assert block.force[1] == pytest.approx(2e3, rel=1e-7)
     assert base.force()[1] == pytest.approx(2e3, rel=1e-6)
-
-
-def test_corners_of_one_side_have_faces_of_the_same_side():
-    """Both lower corners of a block touch a floor, whatever the rounding of their faces' areas."""
-    grid = mpm.create_lattice(MPI.COMM_WORLD, [np.linspace(0, 2, 9), np.linspace(0, 1.5, 7)])
-    points = mpm.fill(grid, mpm.Box((0.25, 0.25), (1.75, 1.25)), per_cell=2, density=1.0)
-    ends = [(0.25, 0.25), (1.75, 0.25), (1.75, 1.25), (0.25, 1.25)]
-    area = faces_of(mpm.Boundary.from_polygon(points, ends))[1]
-    down = points["x0"][area[:, 1] < 0.0]
-    rows = points.comm.allgather(down)
-    np.testing.assert_allclose(np.sort(np.concatenate(rows)[:, 0])[[0, -1]], [0.3125, 1.6875])

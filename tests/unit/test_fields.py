@@ -153,6 +153,7 @@ def test_numbers_of_points_are_different_and_not_negative(wrong):
             points["id"] = kept
 
 
+@pytest.mark.filterwarnings("ignore:the weight .* acts upward")
 def test_positions_and_stresses_in_another_order_are_told():
     """Sums had been the same: points were computed by the functions of other cells."""
     grid = mpm.create_lattice(COMM, [range(3), range(3)])

@@ -74,6 +74,7 @@ def test_fields_that_are_coupled():
     assert kept[1e7] < 0.2 * kept[1.0]
 
 
+@pytest.mark.filterwarnings("ignore:the weight .* acts upward")
 @pytest.mark.parametrize("mass", ["consistent", "lumped"])
 def test_a_mass_that_a_term_adds(mass):
     """Of as much mass as the body has: the acceleration is half as large in every later step."""
