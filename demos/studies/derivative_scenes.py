@@ -261,7 +261,8 @@ def sliding(m, steps=6, problem=mpm.Newmark):
     F = mpm.momentum(mpm.materials.Hencky(m["E"], 0.0), points, u, v)
     g = fem.Constant(grid, (7.0, -7.0))
     F -= ufl.inner(points.density * g, v) * points.dX
-    slope = mpm.RigidBody(mpm.Plane((0, 35e-6), (0, 1)), name="slope")
+    # with 35e-6 m, differences of whole explicit runs have a kink of the contact between them
+    slope = mpm.RigidBody(mpm.Plane((0, 33e-6), (0, 1)), name="slope")
     F += mpm.contact(slope, points, u, v, friction=m["friction"], stiffness_per_area=1e8)
     implicit = {"stabilisation": "ghost", "tolerance": TIGHT}
     problem = problem(F, u, points, **(implicit if problem is mpm.Newmark else {}))
