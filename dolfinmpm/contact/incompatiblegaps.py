@@ -40,12 +40,13 @@ def gaps_stay(contacts: Sequence[Any]) -> bool:
             continue
         _told.add(contact)
         power = 10.0 ** math.floor(math.log10(depth))
+        corners = ", or leave surface= out" if getattr(contact, "surface", None) is not None else ""
         warn(
             contact.points.comm,
             f"{contact!r} has penetration = {contact.law.penetration:g} m, and parts of faces stay "
             f"{depth:.2g} m deep, because the functions of the grid follow them no closer. Steps "
             "are taken so, and pressures may alternate from part to part: give "
-            f"penetration={math.ceil(2.0 * depth / power) * power:.0e}, or leave surface= out",
+            f"penetration={math.ceil(2.0 * depth / power) * power:.0e}{corners}",
             DoubtfulInputWarning,
         )
     return True

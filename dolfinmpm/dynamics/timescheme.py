@@ -183,7 +183,7 @@ class NewmarkScheme(TimedScheme):
         self.rule, self.ties_movers, self.jumped = rule, ties_movers, False
 
     def remark_on(self, step: int) -> str:
-        """See `Static.remark_on`."""
+        """See `Scheme.remark_on`."""
         rule = self.rule
         if rule.beta >= 0.5 * rule.gamma or rule.alpha_m or rule.alpha_f:
             return ""

@@ -98,8 +98,11 @@ def _acceleration(term: Expr, points: MaterialPoints) -> Array | None:
     arguments = extract_arguments(term)
     if len(arguments) != 1:
         return None
-    argument = arguments[0]
-    values: dict[Any, Any] = dict.fromkeys(extract_coefficients(term), 1.0)
+    argument, coefficients = arguments[0], extract_coefficients(term)
+    if not all(isinstance(c, PointField) for c in coefficients):
+        # values of a function of positions may have either sign
+        return None
+    values: dict[Any, Any] = dict.fromkeys(coefficients, 1.0)
     for constant in extract_constants(term):
         given = np.asarray(constant.value, float)
         values[constant] = given if given.ndim else given.item()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakSet
@@ -129,19 +129,6 @@ class _Parameters(dict[str, float]):
     def get(self, name: str, default: Any = None) -> Any:
         (self.read if name in self else self.absent).add(name)
         return super().get(name, default)
-
-    def __iter__(self) -> Iterator[str]:
-        # a scene may hand all of them on
-        self.read.update(self.keys())
-        return super().__iter__()
-
-    def items(self) -> Any:
-        self.read.update(self.keys())
-        return super().items()
-
-    def values(self) -> Any:
-        self.read.update(self.keys())
-        return super().values()
 
     def warn_of_misspelt(self, comm: MPI.Intracomm) -> None:
         """Warn, before a run takes its time, of a parameter that the scene has by another name."""
